@@ -1,0 +1,1 @@
+"""Speed and agreement benchmarks of the arm against an independent physics engine."""

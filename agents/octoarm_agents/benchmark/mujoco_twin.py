@@ -1,0 +1,437 @@
+"""A MuJoCo twin of the octopus arm: the same chain of bodies in an independent engine.
+
+The twin verifies the native kernel (spring lengths, step by step) and is its peer in the speed
+benchmark. It holds the mechanics alone: longitudinal and transverse springs with stiffness and
+damping (Eqs. 1-4), joint masses, massless struts and planes, a turning base. Gravity, water
+(Eqs. 9-15) and the volume forces (Eqs. 7-8) are off, so compare it with an arm whose densities are
+equal, whose drag and lift coefficients are zero and whose volume gains are zero.
+
+Mapping of the arm onto MuJoCo, for compartment j = 1..N:
+
+====================== ==========================================================================
+arm                    MuJoCo
+====================== ==========================================================================
+strut height h         slide joint of body ``plane_j`` along z of ``plane_{j-1}``
+universal joint α, β   two hinges of ``plane_j``, x then y, so R_j = R_{j-1} Rx(α) Ry(β)
+radius r_i             slide joint of body ``joint_j_i`` along +x, +y, -x, -y of ``plane_j``
+mass of joint B_ij     point mass ``longitudinal_mass + transverse_mass`` of body ``joint_j_i``
+transverse spring      stiffness and damping of that slide joint
+longitudinal spring    spatial tendon ``spring_j_i`` from joint i of plane j-1 to joint i of plane j
+base rotation θ, φ     two hinges of ``plane_0``, x then y, so R_0 = Rx(θ) Ry(φ), with an armature
+                       (rotor inertia) so large that the arm cannot disturb them
+====================== ==========================================================================
+
+MuJoCo's compiler asks every moving body for some mass and inertia. The model is compiled with
+stand-ins, which are then replaced by the true values, zeros included: the mass matrix stays
+regular, because every coordinate moves a joint mass. With inertias of 1e-12 kg m² left on the
+bodies, the lengths would be off by 3e-9 m; as it is, the twin agrees with a dense reference to
+rounding (within 2e-15 m over 300 steps of 1 ms).
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import TYPE_CHECKING, Any, Protocol
+from xml.etree import ElementTree
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["MujocoTwin", "TwinParameters"]
+
+_DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
+"""Unit vectors of the springs i = 1..4 in the frame of their plane."""
+
+_COMPILER_MASS = 1e-9
+"""Mass (kg) and inertia (kg m²) that satisfy MuJoCo's compiler; the real ones replace them."""
+
+_BASE_ARMATURE = 1e15
+"""Rotor inertia of the base hinges, kg m².
+
+The error of the spring lengths over 300 steps falls with it, from 1e-10 m at 1e3 to 1e-16 m at 1e9;
+from 1e12 up the base keeps its course to the last bit. The mass matrix is factorised from the tip
+to the base, hence the size does no harm to the conditioning of the arm's own coordinates.
+"""
+
+
+class TwinParameters(Protocol):
+    """The arm parameters that the twin reads; `octoarm_env.ArmParameters` has them all.
+
+    Read too where the object has them, zero otherwise: `plane_mass`, kg, and `plane_inertia`,
+    kg m², of every plane but the base (the inertia about x and y; twice that about z).
+    """
+
+    @property
+    def rest_length(self) -> float:
+        """Rest length l_0 of every longitudinal spring, m."""
+
+    @property
+    def base_radius(self) -> float:
+        """Radius of plane 0 (fixed), m."""
+
+    @property
+    def tip_radius(self) -> float:
+        """Rest radius of plane N, m; the planes between taper linearly."""
+
+    @property
+    def longitudinal_mass(self) -> float:
+        """Mass M_l of a longitudinal spring, kg."""
+
+    @property
+    def transverse_mass(self) -> float:
+        """Mass M_r of a transverse spring, kg."""
+
+    @property
+    def longitudinal_damping(self) -> float:
+        """Damping C_l of a longitudinal spring, N s/m."""
+
+    @property
+    def transverse_damping(self) -> float:
+        """Damping C_r of a transverse spring, N s/m."""
+
+    @property
+    def longitudinal_stiffness(self) -> float:
+        """Stiffness K_l of a longitudinal spring, N/m."""
+
+    @property
+    def transverse_stiffness(self) -> float:
+        """Stiffness K_r of a transverse spring, N/m."""
+
+    @property
+    def compartments(self) -> int:
+        """Number N of compartments."""
+
+    @property
+    def timestep(self) -> float:
+        """Time step of the Runge-Kutta method, s."""
+
+
+class MujocoTwin:
+    """The arm without water, gravity and volume forces, stepped by MuJoCo (Runge-Kutta 4).
+
+    It starts undeformed and at rest, with the base at θ = φ = 0.
+
+    The base is free but for its huge armature: it turns at the constant rates given to
+    `set_state`, or with the constant accelerations given to `set_base_acceleration`.
+
+    Args:
+        parameters: the arm; any object with the attributes of `TwinParameters`.
+        base_armature: rotor inertia of the two base hinges, kg m². The arm's reaction torque
+            (order 1 N m) divided by it is the error of the base's acceleration, rad/s².
+
+    Raises:
+        ImportError: MuJoCo is not installed.
+        ValueError: a parameter leaves no arm to build.
+    """
+
+    def __init__(self, parameters: TwinParameters, base_armature: float = _BASE_ARMATURE) -> None:
+        if not (base_armature > 0 and math.isfinite(base_armature)):
+            raise ValueError(f"base_armature must be positive and finite, got {base_armature}")
+        self._mujoco = _import_mujoco()
+        count = int(parameters.compartments)
+        if count < 1:
+            raise ValueError(f"compartments must be at least 1, got {parameters.compartments}")
+        self._compartments = count
+        self._base_armature = float(base_armature)
+        self._longitudinal_stiffness = float(parameters.longitudinal_stiffness)
+        self._transverse_stiffness = float(parameters.transverse_stiffness)
+        self._rest_length = float(parameters.rest_length)
+
+        radii = _rest_radii(parameters)
+        heights = _rest_heights(parameters, radii)
+        self._rest = np.zeros((count, 7))
+        self._rest[:, 0] = heights
+        self._rest[:, 3:] = radii[1:, np.newaxis]
+
+        xml = _build_xml(parameters, radii, heights, self._base_armature)
+        self._model: Any = self._mujoco.MjModel.from_xml_string(xml)
+        self._data: Any = self._mujoco.MjData(self._model)
+        self._set_masses(parameters)
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def model(self) -> Any:
+        """The `mujoco.MjModel` behind the twin."""
+        return self._model
+
+    @property
+    def data(self) -> Any:
+        """The `mujoco.MjData` behind the twin."""
+        return self._data
+
+    def set_state(self, coordinates: ArrayLike, rates: ArrayLike, base: ArrayLike) -> None:
+        """Put the arm into a state; the time becomes zero, the base's acceleration is kept.
+
+        Args:
+            coordinates: shape (N, 7), each row h, α, β, r1, r2, r3, r4 in m and rad.
+            rates: shape (N, 7), their time derivatives in m/s and rad/s.
+            base: shape (4,), θ, φ in rad and their rates in rad/s; θ turns about x, φ about the
+                y-axis that θ has turned.
+
+        Raises:
+            ValueError: a shape is wrong or a number is not finite.
+        """
+        shape = (self._compartments, 7)
+        angles = _checked(base, "base", (4,))
+        position = _checked(coordinates, "coordinates", shape) - self._rest
+        velocity = _checked(rates, "rates", shape)
+        self._data.time = 0.0
+        self._data.qpos[:2] = angles[:2]
+        self._data.qvel[:2] = angles[2:]
+        self._data.qpos[2:] = position.ravel()
+        self._data.qvel[2:] = velocity.ravel()
+
+    @property
+    def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Copies of coordinates (N, 7), rates (N, 7) and base (4,), as `set_state` takes them."""
+        shape = (self._compartments, 7)
+        return (
+            self._data.qpos[2:].reshape(shape) + self._rest,
+            self._data.qvel[2:].reshape(shape).copy(),
+            np.concatenate((self._data.qpos[:2], self._data.qvel[:2])),
+        )
+
+    def set_base_acceleration(self, acceleration: ArrayLike) -> None:
+        """Let the base angles accelerate evenly from now on, by a torque on the huge armature.
+
+        Args:
+            acceleration: shape (2,), θ̈ and φ̈ in rad/s²; zeros for constant rates.
+
+        At the end of each step the angles lie on the parabola. Inside it they are integrated like
+        the rest: the second Runge-Kutta stage lags the parabola by acceleration · timestep² / 8,
+        the third leads by as much, and the effect of the two on the arm nearly cancels.
+
+        Raises:
+            ValueError: the shape is wrong or a number is not finite.
+        """
+        self._data.qfrc_applied[:2] = self._base_armature * _checked(
+            acceleration, "acceleration", (2,)
+        )
+
+    # ---------------------------------------------------------------- outputs
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """Lengths of the longitudinal springs, shape (4N,), m; index 4(j-1) + (i-1)."""
+        self._mujoco.mj_kinematics(self._model, self._data)
+        return self._measure()
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """World positions of the plane centres c_0 .. c_N, shape (N+1, 3), m."""
+        self._mujoco.mj_kinematics(self._model, self._data)
+        positions: NDArray[np.float64] = self._data.xpos[self._planes].copy()
+        return positions
+
+    def energy(self) -> tuple[float, float]:
+        """Kinetic and elastic energy of the arm, J.
+
+        Kinetic: the arm's masses, in the inertial frame; the base's armature does not count.
+        Elastic: the longitudinal and transverse springs.
+        """
+        self._mujoco.mj_kinematics(self._model, self._data)
+        self._mujoco.mj_comPos(self._model, self._data)
+        self._mujoco.mj_comVel(self._model, self._data)
+        # cvel: angular and linear velocity, the latter at the mass centre of the whole chain.
+        angular, linear = np.split(self._data.cvel, 2, axis=1)
+        centre = self._data.subtree_com[self._model.body_rootid]
+        velocity = linear + np.cross(angular, self._data.xipos - centre)
+        axes = self._data.ximat.reshape(-1, 3, 3)
+        spin = np.einsum("bij,bi->bj", axes, angular)
+        kinetic = 0.5 * np.sum(self._model.body_mass[:, np.newaxis] * velocity**2)
+        kinetic += 0.5 * np.sum(self._model.body_inertia * spin**2)
+        strain = self._measure() - self._rest_length
+        radial = self._data.qpos[2:].reshape(-1, 7)[:, 3:]
+        elastic = 0.5 * self._longitudinal_stiffness * np.sum(strain**2)
+        elastic += 0.5 * self._transverse_stiffness * np.sum(radial**2)
+        return float(kinetic), float(elastic)
+
+    # --------------------------------------------------------------- stepping
+
+    def step(self, n: int = 1) -> None:
+        """Advance by `n` time steps.
+
+        Raises:
+            FloatingPointError: the state is no longer finite.
+        """
+        if n < 1:
+            raise ValueError(f"n must be at least 1, got {n}")
+        self._mujoco.mj_step(self._model, self._data, n)
+        self._check_finite()
+
+    def run(self, steps: int) -> NDArray[np.float64]:
+        """Advance by `steps` time steps and record the spring lengths after each.
+
+        Returns:
+            Shape (steps, 4N), m, in the order of `lengths`.
+
+        Raises:
+            FloatingPointError: the state is no longer finite.
+        """
+        history = np.empty((steps, 4 * self._compartments))
+        for row in history:
+            self._mujoco.mj_step(self._model, self._data)
+            self._mujoco.mj_kinematics(self._model, self._data)
+            row[:] = self._measure()
+        self._check_finite()
+        return history
+
+    # ---------------------------------------------------------------- private
+
+    def _set_masses(self, parameters: TwinParameters) -> None:
+        """Replace the stand-ins: point masses at the joints, the planes as given, else nothing."""
+        count = self._compartments
+        bodies = {self._model.body(index).name: index for index in range(self._model.nbody)}
+        self._planes = [bodies[f"plane_{j}"] for j in range(count + 1)]
+        joints = [bodies[f"joint_{j}_{i}"] for j in range(1, count + 1) for i in range(1, 5)]
+        plane_inertia = float(getattr(parameters, "plane_inertia", 0.0))
+        mass, inertia = self._model.body_mass, self._model.body_inertia
+        mass[:] = 0.0
+        inertia[:] = 0.0
+        mass[joints] = parameters.longitudinal_mass + parameters.transverse_mass
+        mass[self._planes[1:]] = float(getattr(parameters, "plane_mass", 0.0))
+        inertia[self._planes[1:]] = np.multiply(plane_inertia, (1.0, 1.0, 2.0))
+        self._mujoco.mj_setConst(self._model, self._data)
+        self._mujoco.mj_resetData(self._model, self._data)
+
+    def _measure(self) -> NDArray[np.float64]:
+        """Spring lengths, (4N,) m, from site positions that `mj_kinematics` has just renewed.
+
+        The sites come in the order of the joints, four a plane from the base on. `ten_length` holds
+        the same numbers, but only after `mj_tendon`, which computes the Jacobians too.
+        """
+        points = self._data.site_xpos
+        springs = points[4:] - points[:-4]
+        lengths: NDArray[np.float64] = np.sqrt(np.einsum("sk,sk->s", springs, springs))
+        return lengths
+
+    def _check_finite(self) -> None:
+        if not (np.isfinite(self._data.qpos).all() and np.isfinite(self._data.qvel).all()):
+            raise FloatingPointError(f"the twin diverged before t = {self._data.time:.4f} s")
+
+
+def _import_mujoco() -> Any:
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError as error:
+        raise ImportError(
+            "MujocoTwin needs MuJoCo: pip install 'octoarm-agents[benchmark]'"
+        ) from error
+
+
+def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")
+    return array
+
+
+def _rest_radii(parameters: TwinParameters) -> NDArray[np.float64]:
+    """Rest radii of planes 0..N, shape (N+1,), m: a linear taper."""
+    fraction = np.arange(parameters.compartments + 1) / parameters.compartments
+    return parameters.base_radius + (parameters.tip_radius - parameters.base_radius) * fraction
+
+
+def _rest_heights(parameters: TwinParameters, radii: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rest heights of the struts, shape (N,), m: those of unstretched longitudinal springs."""
+    squares = parameters.rest_length**2 - np.diff(radii) ** 2
+    if not (squares > 0).all():
+        raise ValueError(
+            f"rest_length {parameters.rest_length} m is too short for the taper from "
+            f"{parameters.base_radius} m to {parameters.tip_radius} m"
+        )
+    heights: NDArray[np.float64] = np.sqrt(squares)
+    return heights
+
+
+def _numbers(*values: float) -> str:
+    """The shortest decimal text that reads back as exactly the same numbers."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _build_xml(
+    parameters: TwinParameters,
+    radii: NDArray[np.float64],
+    heights: NDArray[np.float64],
+    base_armature: float,
+) -> str:
+    """The MJCF model; every joint coordinate is zero in the undeformed arm."""
+    element = ElementTree.SubElement
+    root = ElementTree.Element("mujoco", model="octopus arm")
+    element(root, "compiler", angle="radian")
+    option = element(
+        root,
+        "option",
+        timestep=_numbers(parameters.timestep),
+        integrator="RK4",
+        gravity=_numbers(0, 0, 0),
+    )
+    # A diverged arm must be seen, not silently reset; the rest only saves time.
+    element(
+        option,
+        "flag",
+        autoreset="disable",
+        constraint="disable",
+        contact="disable",
+        gravity="disable",
+        actuation="disable",
+        sensor="disable",
+        island="disable",
+    )
+
+    plane = _add_body(element(root, "worldbody"), "plane_0", (0, 0, 0))
+    for axis in ((1, 0, 0), (0, 1, 0)):
+        joint = element(plane, "joint", type="hinge", axis=_numbers(*axis))
+        joint.set("armature", _numbers(base_armature))
+    for i, axis in enumerate(_DIRECTIONS, 1):
+        point = np.multiply(axis, radii[0])
+        element(plane, "site", name=f"point_0_{i}", pos=_numbers(*point))
+
+    tendons = element(root, "tendon")
+    for j, height in enumerate(heights, 1):
+        plane = _add_body(plane, f"plane_{j}", (0, 0, height))
+        element(plane, "joint", type="slide", axis=_numbers(0, 0, 1))
+        element(plane, "joint", type="hinge", axis=_numbers(1, 0, 0))
+        element(plane, "joint", type="hinge", axis=_numbers(0, 1, 0))
+        for i, axis in enumerate(_DIRECTIONS, 1):
+            slider = _add_body(plane, f"joint_{j}_{i}", np.multiply(axis, radii[j]))
+            element(
+                slider,
+                "joint",
+                type="slide",
+                axis=_numbers(*axis),
+                stiffness=_numbers(parameters.transverse_stiffness),
+                damping=_numbers(parameters.transverse_damping),
+            )
+            element(slider, "site", name=f"point_{j}_{i}")
+            tendon = element(
+                tendons,
+                "spatial",
+                name=f"spring_{j}_{i}",
+                stiffness=_numbers(parameters.longitudinal_stiffness),
+                damping=_numbers(parameters.longitudinal_damping),
+                springlength=_numbers(parameters.rest_length),
+            )
+            element(tendon, "site", site=f"point_{j - 1}_{i}")
+            element(tendon, "site", site=f"point_{j}_{i}")
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_body(parent: ElementTree.Element, name: str, position: ArrayLike) -> ElementTree.Element:
+    """A body whose mass will be set after compilation; `position` in its parent's frame, m."""
+    x, y, z = np.asarray(position, dtype=np.float64)
+    body = ElementTree.SubElement(parent, "body", name=name, pos=_numbers(x, y, z))
+    ElementTree.SubElement(
+        body,
+        "inertial",
+        pos=_numbers(0, 0, 0),
+        mass=_numbers(_COMPILER_MASS),
+        diaginertia=_numbers(*[_COMPILER_MASS] * 3),
+    )
+    return body

@@ -1,0 +1,392 @@
+//! One arm: parameters, state, and steps.
+
+use std::sync::Arc;
+
+use crate::base::{Actuator, BaseDrive, BaseMotion};
+use crate::domain::find_failure;
+use crate::energy::{Energy, energy, plane_centres};
+use crate::engine::{Engine, InstructionSet};
+use crate::equilibrium::static_equilibrium;
+use crate::error::{DomainError, ParameterError};
+use crate::kernel::place;
+use crate::parameters::ArmParameters;
+use crate::state::{ArmState, COORDINATES};
+
+/// Largest commanded base angle \[degrees\].
+pub const COMMAND_LIMIT: f64 = 3600.0;
+
+/// A soft arm in water, driven by the rotation of its base.
+///
+/// ```
+/// use octoarm_arm::{Actuator, Arm, ArmParameters};
+/// let mut arm = Arm::new(ArmParameters::default(), Actuator::Servo)?;
+/// for _ in 0..100 {
+///     arm.step([10.0, 0.0])?;
+/// }
+/// assert_eq!(arm.lengths().len(), 80);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Arm {
+    parameters: Arc<ArmParameters>,
+    drive: BaseDrive,
+    engine: Engine<1>,
+    instructions: InstructionSet,
+    base: [f64; 4],
+    steps: u64,
+    equilibrium: Option<Arc<ArmState>>,
+}
+
+impl Arm {
+    /// An arm hanging in static equilibrium.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for parameters out of range or without a static equilibrium.
+    pub fn new(parameters: ArmParameters, actuator: Actuator) -> Result<Self, ParameterError> {
+        let mut arm = Self::undeformed(parameters, actuator)?;
+        arm.reset()?;
+        Ok(arm)
+    }
+
+    /// An arm with every spring at its rest length.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for parameters out of range.
+    pub fn undeformed(parameters: ArmParameters, actuator: Actuator) -> Result<Self, ParameterError> {
+        parameters.validate()?;
+        let mut arm = Self {
+            drive: BaseDrive::new(actuator, parameters.servo_frequency, parameters.timestep),
+            engine: Engine::new(&parameters),
+            instructions: InstructionSet::detected(),
+            base: [0.0; 4],
+            steps: 0,
+            equilibrium: None,
+            parameters: Arc::new(parameters),
+        };
+        arm.reset_undeformed();
+        Ok(arm)
+    }
+
+    /// The body's parameters.
+    #[must_use]
+    pub fn parameters(&self) -> &ArmParameters {
+        &self.parameters
+    }
+
+    /// How the base follows its command.
+    #[must_use]
+    pub fn actuator(&self) -> Actuator {
+        self.drive.actuator()
+    }
+
+    /// Number of observed spring lengths, four a compartment.
+    #[must_use]
+    pub fn observation_len(&self) -> usize {
+        4 * self.parameters.compartments
+    }
+
+    /// Back to static equilibrium at θ = φ = 0 without muscle inputs.
+    ///
+    /// # Errors
+    /// [`ParameterError::NoEquilibrium`]; the arm is then unchanged.
+    pub fn reset(&mut self) -> Result<(), ParameterError> {
+        let state = match &self.equilibrium {
+            Some(state) => Arc::clone(state),
+            None => Arc::new(static_equilibrium(&self.parameters)?),
+        };
+        self.equilibrium = Some(Arc::clone(&state));
+        self.clear_muscles();
+        self.restore(&state);
+        Ok(())
+    }
+
+    /// Back to rest with every spring at its rest length, θ = φ = 0, without muscle inputs.
+    pub fn reset_undeformed(&mut self) {
+        let state = ArmState::undeformed(&self.parameters);
+        self.clear_muscles();
+        self.restore(&state);
+    }
+
+    fn clear_muscles(&mut self) {
+        self.engine.muscles.fill(crate::kernel::Muscles::ZERO);
+    }
+
+    fn restore(&mut self, state: &ArmState) {
+        self.engine.set_state(0, &state.coordinates, &state.rates);
+        self.engine.refresh_lengths();
+        self.base = state.base;
+        self.steps = state.steps;
+    }
+
+    /// The complete state.
+    #[must_use]
+    pub fn state(&self) -> ArmState {
+        let n = self.parameters.compartments;
+        let read = |entry: &dyn Fn(usize, usize) -> f64| {
+            (0..n).map(|j| std::array::from_fn(|index| entry(j, index))).collect()
+        };
+        ArmState {
+            coordinates: read(&|j, index| self.engine.coordinate(0, j, index)),
+            rates: read(&|j, index| self.engine.rate(0, j, index)),
+            base: self.base,
+            steps: self.steps,
+        }
+    }
+
+    /// Restores a state exactly: the steps that follow have the same bits.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for a state of another shape, with numbers that are not finite, or outside
+    /// the domain; the arm is then unchanged.
+    pub fn set_state(&mut self, state: &ArmState) -> Result<(), ParameterError> {
+        state.validate(self.parameters.compartments)?;
+        let before = self.state();
+        self.restore(state);
+        let failure = self.find_failure(
+            |j, index| self.engine.coordinate(0, j, index),
+            |j, index| self.engine.rate(0, j, index),
+            |j, i| self.engine.length(0, j, i),
+        );
+        if let Some(failure) = failure {
+            self.restore(&before);
+            return Err(ParameterError::OutOfRange {
+                name: format!("state: {} of compartment {}", failure.limit.name(), failure.compartment),
+                value: failure.value.to_string(),
+                range: format!("[{}, {}]", failure.low, failure.high),
+            });
+        }
+        Ok(())
+    }
+
+    /// Time since the last reset \[s\].
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.steps as f64 * self.parameters.timestep
+    }
+
+    /// The base, `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
+    #[must_use]
+    pub fn base(&self) -> [f64; 4] {
+        self.base
+    }
+
+    /// The base angles θ, φ \[degrees\].
+    #[must_use]
+    pub fn base_degrees(&self) -> [f64; 2] {
+        [self.base[0].to_degrees(), self.base[1].to_degrees()]
+    }
+
+    /// Muscle inputs ξ_c and δ_c of every spring \[N\], in observation order; they act until changed.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for slices of another length or numbers that are not finite.
+    pub fn set_muscles(&mut self, longitudinal: &[f64], transverse: &[f64]) -> Result<(), ParameterError> {
+        let inputs = [("longitudinal", longitudinal), ("transverse", transverse)];
+        for (name, values) in inputs {
+            if values.len() != self.observation_len() {
+                return Err(ParameterError::Shape {
+                    name: name.to_owned(),
+                    found: format!("({},)", values.len()),
+                    expected: format!("({},)", self.observation_len()),
+                });
+            }
+            if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(ParameterError::OutOfRange {
+                    name: name.to_owned(),
+                    value: value.to_string(),
+                    range: "of finite numbers".to_owned(),
+                });
+            }
+        }
+        for j in 0..self.parameters.compartments {
+            let (chunk, slot) = place::<1>(j);
+            for i in 0..4 {
+                self.engine.muscles[chunk].longitudinal[i][slot] = longitudinal[4 * j + i];
+                self.engine.muscles[chunk].transverse[i][slot] = transverse[4 * j + i];
+            }
+        }
+        Ok(())
+    }
+
+    /// The muscle inputs ξ_c and δ_c \[N\], in observation order.
+    #[must_use]
+    pub fn muscles(&self) -> (Vec<f64>, Vec<f64>) {
+        let mut longitudinal = Vec::with_capacity(self.observation_len());
+        let mut transverse = Vec::with_capacity(self.observation_len());
+        for j in 0..self.parameters.compartments {
+            let (chunk, slot) = place::<1>(j);
+            for i in 0..4 {
+                longitudinal.push(self.engine.muscles[chunk].longitudinal[i][slot]);
+                transverse.push(self.engine.muscles[chunk].transverse[i][slot]);
+            }
+        }
+        (longitudinal, transverse)
+    }
+
+    /// Writes the lengths of the longitudinal springs \[m\], index 4 (j − 1) + (i − 1).
+    ///
+    /// # Panics
+    /// If `out` is shorter than [`Arm::observation_len`].
+    pub fn lengths_into(&self, out: &mut [f64]) {
+        for (j, row) in out[..self.observation_len()].chunks_exact_mut(4).enumerate() {
+            for (i, value) in row.iter_mut().enumerate() {
+                *value = self.engine.length(0, j, i);
+            }
+        }
+    }
+
+    /// Lengths of the longitudinal springs \[m\], index 4 (j − 1) + (i − 1).
+    #[must_use]
+    pub fn lengths(&self) -> Vec<f64> {
+        let mut lengths = vec![0.0; self.observation_len()];
+        self.lengths_into(&mut lengths);
+        lengths
+    }
+
+    /// Kinetic and elastic energy.
+    #[must_use]
+    pub fn energy(&self) -> Energy {
+        energy(&self.parameters, &self.state(), &self.lengths())
+    }
+
+    /// Centres of all planes, base first \[m\].
+    #[must_use]
+    pub fn positions(&self) -> Vec<[f64; 3]> {
+        plane_centres(&self.state())
+    }
+
+    /// Accelerations of all coordinates in the present state under a given motion of the base.
+    #[must_use]
+    pub fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {
+        self.engine.accelerations(0, &[*base])
+    }
+
+    /// The base's motion over the next step under a command in degrees: start, middle and end.
+    #[must_use]
+    pub fn base_motion(&self, command: [f64; 2]) -> [BaseMotion; 3] {
+        self.drive.motion(&self.base, command.map(f64::to_radians))
+    }
+
+    /// One physics step of `timestep` seconds under the commanded base angles θ, φ \[degrees\].
+    ///
+    /// # Errors
+    /// [`DomainError`] if the step would leave the model's domain (a command that is not finite
+    /// counts as that too); the arm keeps the state it had.
+    pub fn step(&mut self, command: [f64; 2]) -> Result<(), DomainError> {
+        let motion = self.base_motion(command);
+        if !self.engine.advance(self.instructions, &motion.map(|instant| [instant])) {
+            if let Some(failure) = self.refusal() {
+                return Err(failure);
+            }
+            // Within rounding of a limit: the check in words finds nothing wrong.
+            self.engine.accept();
+        }
+        let [_, _, end] = motion;
+        self.base = [end.angle[0], end.angle[1], end.rate[0], end.rate[1]];
+        self.steps += 1;
+        Ok(())
+    }
+
+    /// Follows a sequence of commands \[degrees\], writing the lengths after each step.
+    ///
+    /// # Errors
+    /// The number of steps that were made, and the [`DomainError`] of the one that was not; `out`
+    /// holds the lengths of those that were.
+    pub fn run(&mut self, commands: &[[f64; 2]], out: &mut [f64]) -> Result<(), (usize, DomainError)> {
+        let width = self.observation_len();
+        for (step, (command, row)) in commands.iter().zip(out.chunks_exact_mut(width)).enumerate() {
+            self.step(*command).map_err(|failure| (step, failure))?;
+            self.lengths_into(row);
+        }
+        Ok(())
+    }
+
+    /// Closes the loop through a linear readout (Eqs. 24–26): every step commands
+    /// `weights · lengths + bias + perturbation` \[degrees\].
+    ///
+    /// `outputs` receives the readout's outputs (without the perturbation), `lengths` the lengths
+    /// after the step that followed. Their sizes set the number of steps.
+    ///
+    /// # Errors
+    /// As [`Arm::run`].
+    pub fn run_closed_loop(
+        &mut self,
+        readout: &LinearReadout,
+        perturbation: Option<&[[f64; 2]]>,
+        outputs: &mut [[f64; 2]],
+        lengths: &mut [f64],
+    ) -> Result<(), (usize, DomainError)> {
+        let width = self.observation_len();
+        let mut now = self.lengths();
+        for (step, (output, row)) in
+            outputs.iter_mut().zip(lengths.chunks_exact_mut(width)).enumerate()
+        {
+            let said = readout.output(&now);
+            let push = perturbation.map_or([0.0; 2], |rows| rows[step]);
+            self.step([said[0] + push[0], said[1] + push[1]]).map_err(|failure| (step, failure))?;
+            *output = said;
+            self.lengths_into(row);
+            now.copy_from_slice(row);
+        }
+        Ok(())
+    }
+
+    fn refusal(&self) -> Option<DomainError> {
+        self.find_failure(
+            |j, index| self.engine.refused(0, j).0[index],
+            |j, index| self.engine.refused(0, j).1[index],
+            |j, i| self.engine.refused(0, j).2[i],
+        )
+    }
+
+    fn find_failure(
+        &self,
+        coordinate: impl Fn(usize, usize) -> f64,
+        rate: impl Fn(usize, usize) -> f64,
+        length: impl Fn(usize, usize) -> f64,
+    ) -> Option<DomainError> {
+        let time = (self.steps + 1) as f64 * self.parameters.timestep;
+        find_failure(&self.parameters, coordinate, rate, length, time)
+    }
+}
+
+/// A static linear readout of the spring lengths (Eq. 18, Eq. 26).
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinearReadout {
+    /// One row a spring.
+    pub weights: Vec<[f64; 2]>,
+    /// Added to the weighted sum \[degrees\].
+    pub bias: [f64; 2],
+}
+
+impl LinearReadout {
+    /// `weightsᵀ lengths + bias` \[degrees\].
+    #[must_use]
+    pub fn output(&self, lengths: &[f64]) -> [f64; 2] {
+        let mut sum = self.bias;
+        for (weight, length) in self.weights.iter().zip(lengths) {
+            sum[0] = weight[0].mul_add(*length, sum[0]);
+            sum[1] = weight[1].mul_add(*length, sum[1]);
+        }
+        sum
+    }
+}
+
+/// Whether a command in degrees can be followed at all.
+///
+/// # Errors
+/// [`ParameterError::OutOfRange`] naming the angle.
+pub fn check_command(command: [f64; 2]) -> Result<(), ParameterError> {
+    for (name, value) in ["theta", "phi"].into_iter().zip(command) {
+        // Written so that a NaN fails too.
+        if !(value.abs() <= COMMAND_LIMIT) {
+            return Err(ParameterError::OutOfRange {
+                name: name.to_owned(),
+                value: value.to_string(),
+                range: format!("[-{COMMAND_LIMIT}, {COMMAND_LIMIT}] degrees"),
+            });
+        }
+    }
+    Ok(())
+}
+

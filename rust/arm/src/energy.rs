@@ -1,0 +1,99 @@
+//! Energy and posture, in the world frame.
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::parameters::ArmParameters;
+use crate::state::ArmState;
+use crate::transcendental::sin_cos;
+
+/// Mechanical energy of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Energy {
+    /// Of all joint masses and planes, in the world frame \[J\].
+    pub kinetic: f64,
+    /// Of all springs \[J\].
+    pub elastic: f64,
+}
+
+fn about_x(angle: f64) -> Matrix3<f64> {
+    let (s, c) = sin_cos(angle);
+    Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c)
+}
+
+fn about_y(angle: f64) -> Matrix3<f64> {
+    let (s, c) = sin_cos(angle);
+    Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
+}
+
+/// Position, frame, angular and linear velocity of a plane in the world frame.
+struct PlanePose {
+    centre: Vector3<f64>,
+    frame: Matrix3<f64>,
+    omega: Vector3<f64>,
+    velocity: Vector3<f64>,
+}
+
+fn base_pose(state: &ArmState) -> PlanePose {
+    let [theta, phi, theta_rate, phi_rate] = state.base;
+    let first = about_x(theta);
+    PlanePose {
+        centre: Vector3::zeros(),
+        frame: first * about_y(phi),
+        omega: first.column(0) * theta_rate + first.column(1) * phi_rate,
+        velocity: Vector3::zeros(),
+    }
+}
+
+fn next_pose(floor: &PlanePose, q: &[f64; 7], u: &[f64; 7]) -> PlanePose {
+    let strut = floor.frame.column(2) * q[0];
+    let tilted = floor.frame * about_x(q[1]);
+    PlanePose {
+        centre: floor.centre + strut,
+        frame: tilted * about_y(q[2]),
+        omega: floor.omega + floor.frame.column(0) * u[1] + tilted.column(1) * u[2],
+        velocity: floor.velocity + floor.omega.cross(&strut) + floor.frame.column(2) * u[0],
+    }
+}
+
+fn poses(state: &ArmState) -> Vec<PlanePose> {
+    let mut poses = vec![base_pose(state)];
+    for (q, u) in state.coordinates.iter().zip(&state.rates) {
+        let pose = next_pose(&poses[poses.len() - 1], q, u);
+        poses.push(pose);
+    }
+    poses
+}
+
+/// Centres of all planes, base first \[m\].
+#[must_use]
+pub(crate) fn plane_centres(state: &ArmState) -> Vec<[f64; 3]> {
+    poses(state).iter().map(|pose| pose.centre.into()).collect()
+}
+
+/// Kinetic and elastic energy; `lengths` are the longitudinal springs', in observation order.
+#[must_use]
+pub(crate) fn energy(parameters: &ArmParameters, state: &ArmState, lengths: &[f64]) -> Energy {
+    let directions = [Vector3::x(), Vector3::y(), -Vector3::x(), -Vector3::y()];
+    let mass = parameters.joint_mass();
+    let inertia = parameters.plane_inertia;
+    let mut kinetic = 0.0;
+    let mut elastic = 0.0;
+    for (j, pose) in poses(state).iter().enumerate().skip(1) {
+        let (q, u) = (&state.coordinates[j - 1], &state.rates[j - 1]);
+        for (i, direction) in directions.iter().enumerate() {
+            let out = pose.frame * direction;
+            let velocity =
+                pose.velocity + pose.omega.cross(&out) * q[3 + i] + out * u[3 + i];
+            kinetic += 0.5 * mass * velocity.norm_squared();
+            let widening = q[3 + i] - parameters.rest_radius(j);
+            let stretch = lengths[4 * (j - 1) + i] - parameters.rest_length;
+            elastic += 0.5 * parameters.transverse_stiffness * widening * widening
+                + 0.5 * parameters.longitudinal_stiffness * stretch * stretch;
+        }
+        let spin = pose.frame.transpose() * pose.omega;
+        kinetic += 0.5 * parameters.plane_mass * pose.velocity.norm_squared()
+            + 0.5 * inertia * (spin.x * spin.x + spin.y * spin.y + 2.0 * spin.z * spin.z);
+    }
+    Energy { kinetic, elastic }
+}

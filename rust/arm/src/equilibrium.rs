@@ -1,0 +1,105 @@
+//! The rest state: where the springs carry the arm's weight in water.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::base::BaseMotion;
+use crate::engine::Engine;
+use crate::error::ParameterError;
+use crate::parameters::ArmParameters;
+use crate::state::{ArmState, COORDINATES};
+
+/// Newton steps for one gravity load.
+const ITERATIONS: usize = 40;
+/// Largest acceleration that counts as rest before the last polish \[m/s², rad/s²\].
+const AT_REST: f64 = 1e-6;
+
+/// Accelerations at rest in the given shape, as one vector.
+fn residual(engine: &mut Engine<1>, shape: &DVector<f64>, still: &[[f64; COORDINATES]]) -> DVector<f64> {
+    let coordinates: Vec<[f64; COORDINATES]> =
+        (0..still.len()).map(|j| std::array::from_fn(|k| shape[j * COORDINATES + k])).collect();
+    engine.set_state(0, &coordinates, still);
+    let accelerations = engine.accelerations(0, &[BaseMotion::default()]);
+    DVector::from_iterator(shape.len(), accelerations.into_iter().flatten())
+}
+
+fn solve(
+    engine: &mut Engine<1>,
+    mut shape: DVector<f64>,
+    still: &[[f64; COORDINATES]],
+) -> (DVector<f64>, f64) {
+    let size = shape.len();
+    let mut left = residual(engine, &shape, still);
+    for _ in 0..ITERATIONS {
+        let before = left.amax();
+        let mut jacobian = DMatrix::zeros(size, size);
+        for column in 0..size {
+            let width = 1e-7;
+            let mut moved = shape.clone();
+            moved[column] += width;
+            let plus = residual(engine, &moved, still);
+            moved[column] -= 2.0 * width;
+            let minus = residual(engine, &moved, still);
+            jacobian.set_column(column, &((plus - minus) / (2.0 * width)));
+        }
+        let Some(step) = jacobian.lu().solve(&left) else { break };
+        // Backtracking keeps a large load from throwing the shape out of the domain.
+        let mut fraction = 1.0;
+        let mut improved = false;
+        while fraction > 1e-4 {
+            let trial = &shape - &step * fraction;
+            let trial_left = residual(engine, &trial, still);
+            if trial_left.amax() < before {
+                shape = trial;
+                left = trial_left;
+                improved = true;
+                break;
+            }
+            fraction *= 0.5;
+        }
+        if !improved {
+            break;
+        }
+    }
+    let size_left = left.amax();
+    (shape, size_left)
+}
+
+/// Static equilibrium at θ = φ = 0, without muscle inputs: Newton's method on the accelerations, in
+/// growing shares of gravity if the full load does not converge from the undeformed shape.
+///
+/// # Errors
+/// [`ParameterError::NoEquilibrium`] if no shape at rest is found.
+pub(crate) fn static_equilibrium(parameters: &ArmParameters) -> Result<ArmState, ParameterError> {
+    let undeformed = ArmState::undeformed(parameters);
+    let start = DVector::from_iterator(
+        undeformed.coordinates.len() * COORDINATES,
+        undeformed.coordinates.iter().flatten().copied(),
+    );
+    let mut worst = f64::INFINITY;
+    for shares in [1_u32, 10, 100] {
+        let mut shape = start.clone();
+        for share in 1..=shares {
+            let fraction = f64::from(share) / f64::from(shares);
+            let loaded = ArmParameters {
+                gravity: parameters.gravity.map(|g| g * fraction),
+                ..parameters.clone()
+            };
+            (shape, worst) = solve(&mut Engine::<1>::new(&loaded), shape, &undeformed.rates);
+            if worst > AT_REST || worst.is_nan() {
+                break;
+            }
+        }
+        if worst <= AT_REST {
+            let coordinates = (0..parameters.compartments)
+                .map(|j| std::array::from_fn(|k| shape[j * COORDINATES + k]))
+                .collect();
+            return Ok(ArmState { coordinates, ..undeformed });
+        }
+    }
+    Err(ParameterError::NoEquilibrium {
+        residual: worst,
+        advice: "lower gravity or arm_density, or raise longitudinal_stiffness; \
+                 an undeformed start needs no equilibrium"
+            .to_owned(),
+    })
+}

@@ -1,0 +1,89 @@
+//! What can go wrong, in words that name the quantity, its value and its limit.
+
+use thiserror::Error;
+
+/// A parameter, file or argument that cannot be used.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ParameterError {
+    /// A value outside its range.
+    #[error("{name} = {value} is outside the allowed range {range}")]
+    OutOfRange {
+        /// The field's or argument's name.
+        name: String,
+        /// The offending value.
+        value: String,
+        /// The allowed range, in words or as an interval.
+        range: String,
+    },
+    /// An array of the wrong shape.
+    #[error("{name} has shape {found}, expected {expected}")]
+    Shape {
+        /// The argument's name.
+        name: String,
+        /// The shape that was given.
+        found: String,
+        /// The shape that is needed.
+        expected: String,
+    },
+    /// Text that cannot be read.
+    #[error("cannot read the parameters: {0}")]
+    Format(String),
+    /// No static equilibrium was found for the body.
+    #[error("no static equilibrium found (largest acceleration left {residual:.3e}): {advice}")]
+    NoEquilibrium {
+        /// Largest remaining acceleration, SI units.
+        residual: f64,
+        /// What to try.
+        advice: String,
+    },
+}
+
+/// The limits within which the model speaks of a soft arm, see [`crate::domain`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// A universal joint's angle |α| or |β| \[rad\].
+    BendAngle,
+    /// A strut's height relative to its rest height.
+    Height,
+    /// A radius relative to its rest value.
+    Radius,
+    /// A longitudinal spring's length relative to its rest length.
+    SpringLength,
+    /// A coordinate or rate that is not a finite number.
+    NotFinite,
+}
+
+impl Limit {
+    /// The limit's name as it appears in messages and in `info["failure"]`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BendAngle => "bend_angle",
+            Self::Height => "height",
+            Self::Radius => "radius",
+            Self::SpringLength => "spring_length",
+            Self::NotFinite => "not_finite",
+        }
+    }
+}
+
+/// The arm has left the domain in which the model describes it. The arm keeps its last valid state.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error(
+    "the arm left its domain: {} of compartment {compartment} is {value:.4}, allowed {low:.4} to {high:.4}, at t = {time:.4} s",
+    limit.name()
+)]
+pub struct DomainError {
+    /// Which limit was passed.
+    pub limit: Limit,
+    /// The compartment, counted from 1 at the base.
+    pub compartment: usize,
+    /// The value found (relative to rest, or radians for the bend angle).
+    pub value: f64,
+    /// The lower limit.
+    pub low: f64,
+    /// The upper limit.
+    pub high: f64,
+    /// Time since the last reset at which the failing step would have ended \[s\].
+    pub time: f64,
+}

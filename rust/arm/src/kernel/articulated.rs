@@ -1,0 +1,338 @@
+//! The articulated-body recursion (Featherstone 2008, chapter 7) over three elementary joints a
+//! compartment: prismatic along z, revolute about x, revolute about y. No joint carries a force.
+//!
+//! Notation: at a point, torque and force are `n = J ψ + H a`, `f = Hᵀ ψ + M a` plus bias, with ψ the
+//! angular and `a` the linear acceleration beyond those with q̈ = 0 ([`super::kinematics`]). Projecting
+//! a joint out leaves zeros in its row and column; only what can differ from zero is kept: 15 numbers
+//! from plane to plane (J 6, H 3×2, M 3) and five of bias.
+
+use super::plane::Plane;
+use super::trigonometry::Angles;
+use super::water::External;
+use super::{Block, Material, Row, WIDTH, place};
+
+/// What the outward sweep needs of each joint, divided by the joint's inertia.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Joints {
+    /// Prismatic: bias, torque along the tilted axis, force x, force y.
+    pub(crate) slide: [Row; 4],
+    /// About x: bias, torque z, force x, y, z.
+    pub(crate) about_x: [Row; 5],
+    /// About y: bias, torque x, torque z, force x, y, z.
+    pub(crate) about_y: [Row; 6],
+}
+
+impl Joints {
+    pub(crate) const ZERO: Self = Self {
+        slide: [[0.0; WIDTH]; 4],
+        about_x: [[0.0; WIDTH]; 5],
+        about_y: [[0.0; WIDTH]; 6],
+    };
+}
+
+/// The articulated inertia and bias that a plane receives from all beyond it, one value a lane.
+struct Carried<const L: usize> {
+    j_xx: [f64; L],
+    j_xy: [f64; L],
+    j_xz: [f64; L],
+    j_yy: [f64; L],
+    j_yz: [f64; L],
+    j_zz: [f64; L],
+    h_xx: [f64; L],
+    h_xy: [f64; L],
+    h_yx: [f64; L],
+    h_yy: [f64; L],
+    h_zx: [f64; L],
+    h_zy: [f64; L],
+    m_xx: [f64; L],
+    m_xy: [f64; L],
+    m_yy: [f64; L],
+    torque: [[f64; L]; 3],
+    force: [[f64; L]; 2],
+}
+
+/// Tip to base: projects every joint out of the inertia beyond it.
+#[inline(always)]
+pub(crate) fn inward<const L: usize>(
+    compartments: usize,
+    material: &Material,
+    coordinates: &[Block],
+    angles: &[Angles],
+    external: &[External],
+    planes: &[Plane],
+    joints: &mut [Joints],
+) {
+    let zero = [0.0; L];
+    let mut carried = Carried {
+        j_xx: zero,
+        j_xy: zero,
+        j_xz: zero,
+        j_yy: zero,
+        j_yz: zero,
+        j_zz: zero,
+        h_xx: zero,
+        h_xy: zero,
+        h_yx: zero,
+        h_yy: zero,
+        h_zx: zero,
+        h_zy: zero,
+        m_xx: zero,
+        m_xy: zero,
+        m_yy: zero,
+        torque: [zero; 3],
+        force: [zero; 2],
+    };
+    for j in (0..compartments).rev() {
+        let (chunk, slot) = place::<L>(j);
+        let (q, trig) = (&coordinates[chunk].0, &angles[chunk]);
+        let (pull, plane) = (&external[chunk].force, &planes[chunk]);
+        let out = &mut joints[chunk];
+        for lane in 0..L {
+            let k = slot + lane;
+            let (jx, jy) = (plane.inertia[0][k], plane.inertia[1][k]);
+            let (sx, sy) = (plane.moment[0][k], plane.moment[1][k]);
+            let mass = 2.0f64.mul_add(material.joint_mass[k], material.plane_mass[k]);
+            let mass_z = 2.0f64.mul_add(material.joint_mass[k], mass);
+
+            // The plane itself, on what its child hands down.
+            let j_xx = carried.j_xx[lane] + jx;
+            let j_xy = carried.j_xy[lane];
+            let j_xz = carried.j_xz[lane];
+            let j_yy = carried.j_yy[lane] + jy;
+            let j_yz = carried.j_yz[lane];
+            let j_zz = carried.j_zz[lane] + (jx + jy);
+            let (h_xx, h_xy, h_xz) = (carried.h_xx[lane], carried.h_xy[lane], sy);
+            let (h_yx, h_yy, h_yz) = (carried.h_yx[lane], carried.h_yy[lane], -sx);
+            let (h_zx, h_zy) = (carried.h_zx[lane] - sy, carried.h_zy[lane] + sx);
+            let (m_xx, m_xy, m_yy) =
+                (carried.m_xx[lane] + mass, carried.m_xy[lane], carried.m_yy[lane] + mass);
+            let n_x = carried.torque[0][lane] + plane.torque[0][k];
+            let n_y = carried.torque[1][lane] + plane.torque[1][k];
+            let n_z = carried.torque[2][lane] + plane.torque[2][k];
+            let f_x = carried.force[0][lane] + plane.force[0][k];
+            let f_y = carried.force[1][lane] + plane.force[1][k];
+            let f_z = plane.force[2][k];
+
+            // Joint about y.
+            let inverse = 1.0 / j_yy;
+            let (tx, tz) = (j_xy * inverse, j_yz * inverse);
+            let (ux, uy, uz) = (h_yx * inverse, h_yy * inverse, h_yz * inverse);
+            out.about_y[0][k] = n_y * inverse;
+            out.about_y[1][k] = tx;
+            out.about_y[2][k] = tz;
+            out.about_y[3][k] = ux;
+            out.about_y[4][k] = uy;
+            out.about_y[5][k] = uz;
+            let j_xx = (-tx).mul_add(j_xy, j_xx);
+            let j_xz = (-tx).mul_add(j_yz, j_xz);
+            let j_zz = (-tz).mul_add(j_yz, j_zz);
+            let h_xx = (-tx).mul_add(h_yx, h_xx);
+            let h_xy = (-tx).mul_add(h_yy, h_xy);
+            let h_xz = (-tx).mul_add(h_yz, h_xz);
+            let h_zx = (-tz).mul_add(h_yx, h_zx);
+            let h_zy = (-tz).mul_add(h_yy, h_zy);
+            let h_zz = -(tz * h_yz);
+            let m_xx = (-ux).mul_add(h_yx, m_xx);
+            let m_xy = (-ux).mul_add(h_yy, m_xy);
+            let m_xz = -(ux * h_yz);
+            let m_yy = (-uy).mul_add(h_yy, m_yy);
+            let m_yz = -(uy * h_yz);
+            let m_zz = (-uz).mul_add(h_yz, mass_z);
+            let n_x = (-tx).mul_add(n_y, n_x);
+            let n_z = (-tz).mul_add(n_y, n_z);
+            let f_x = (-ux).mul_add(n_y, f_x);
+            let f_y = (-uy).mul_add(n_y, f_y);
+            let f_z = (-uz).mul_add(n_y, f_z);
+
+            // Into the frame between the joints: (x, z) → (c x + s z, c z − s x).
+            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
+            let a = c.mul_add(j_xx, s * j_xz);
+            let b = c.mul_add(j_xz, s * j_zz);
+            let d = c.mul_add(j_xz, -(s * j_xx));
+            let e = c.mul_add(j_zz, -(s * j_xz));
+            let j_xx = c.mul_add(a, s * b);
+            let j_xz = c.mul_add(b, -(s * a));
+            let j_zz = c.mul_add(e, -(s * d));
+            let (a, b) = (c.mul_add(h_xx, s * h_xz), c.mul_add(h_xz, -(s * h_xx)));
+            let (d, e) = (c.mul_add(h_zx, s * h_zz), c.mul_add(h_zz, -(s * h_zx)));
+            let (h_xx, h_zx) = (c.mul_add(a, s * d), c.mul_add(d, -(s * a)));
+            let (h_xz, h_zz) = (c.mul_add(b, s * e), c.mul_add(e, -(s * b)));
+            let (h_xy, h_zy) = (c.mul_add(h_xy, s * h_zy), c.mul_add(h_zy, -(s * h_xy)));
+            let a = c.mul_add(m_xx, s * m_xz);
+            let b = c.mul_add(m_xz, s * m_zz);
+            let d = c.mul_add(m_xz, -(s * m_xx));
+            let e = c.mul_add(m_zz, -(s * m_xz));
+            let m_xx = c.mul_add(a, s * b);
+            let m_xz = c.mul_add(b, -(s * a));
+            let m_zz = c.mul_add(e, -(s * d));
+            let (m_xy, m_yz) = (c.mul_add(m_xy, s * m_yz), c.mul_add(m_yz, -(s * m_xy)));
+            let (n_x, n_z) = (c.mul_add(n_x, s * n_z), c.mul_add(n_z, -(s * n_x)));
+            let (f_x, f_z) = (c.mul_add(f_x, s * f_z), c.mul_add(f_z, -(s * f_x)));
+
+            // Joint about x. After it only torques about z remain.
+            let inverse = 1.0 / j_xx;
+            let tz = j_xz * inverse;
+            let (ux, uy, uz) = (h_xx * inverse, h_xy * inverse, h_xz * inverse);
+            out.about_x[0][k] = n_x * inverse;
+            out.about_x[1][k] = tz;
+            out.about_x[2][k] = ux;
+            out.about_x[3][k] = uy;
+            out.about_x[4][k] = uz;
+            let j_zz = (-tz).mul_add(j_xz, j_zz);
+            let h_zx = (-tz).mul_add(h_xx, h_zx);
+            let h_zy = (-tz).mul_add(h_xy, h_zy);
+            let h_zz = (-tz).mul_add(h_xz, h_zz);
+            let m_xx = (-ux).mul_add(h_xx, m_xx);
+            let m_xy = (-ux).mul_add(h_xy, m_xy);
+            let m_xz = (-ux).mul_add(h_xz, m_xz);
+            let m_yy = (-uy).mul_add(h_xy, m_yy);
+            let m_yz = (-uy).mul_add(h_xz, m_yz);
+            let m_zz = (-uz).mul_add(h_xz, m_zz);
+            let n_z = (-tz).mul_add(n_x, n_z);
+            let f_x = (-ux).mul_add(n_x, f_x);
+            let f_y = (-uy).mul_add(n_x, f_y);
+            let f_z = (-uz).mul_add(n_x, f_z);
+
+            // Into the floor's frame: (y, z) → (c y − s z, s y + c z). The torque lies along
+            // e = (0, −s, c): J = j e eᵀ, H = e kᵀ.
+            let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
+            let k_x = h_zx;
+            let (k_y, k_z) = (c.mul_add(h_zy, -(s * h_zz)), c.mul_add(h_zz, s * h_zy));
+            let a = c.mul_add(m_yy, -(s * m_yz));
+            let b = c.mul_add(m_yz, -(s * m_zz));
+            let d = c.mul_add(m_yz, s * m_yy);
+            let e = c.mul_add(m_zz, s * m_yz);
+            let m_yy = c.mul_add(a, -(s * b));
+            let m_yz = c.mul_add(b, s * a);
+            let m_zz = c.mul_add(e, s * d);
+            let (m_xy, m_xz) = (c.mul_add(m_xy, -(s * m_xz)), c.mul_add(m_xz, s * m_xy));
+            let (f_y, f_z) = (c.mul_add(f_y, -(s * f_z)), c.mul_add(f_z, s * f_y));
+            let (f_x, f_y, f_z) = (f_x - pull[0][k], f_y - pull[1][k], f_z - pull[2][k]);
+
+            // Prismatic joint along z.
+            let inverse = 1.0 / m_zz;
+            let t = k_z * inverse;
+            let (ux, uy) = (m_xz * inverse, m_yz * inverse);
+            out.slide[0][k] = f_z * inverse;
+            out.slide[1][k] = t;
+            out.slide[2][k] = ux;
+            out.slide[3][k] = uy;
+            let j = (-t).mul_add(k_z, j_zz);
+            let k_x = (-ux).mul_add(k_z, k_x);
+            let k_y = (-uy).mul_add(k_z, k_y);
+            let m_xx = (-ux).mul_add(m_xz, m_xx);
+            let m_xy = (-ux).mul_add(m_yz, m_xy);
+            let m_yy = (-uy).mul_add(m_yz, m_yy);
+            let n = (-t).mul_add(f_z, n_z);
+            let f_x = (-ux).mul_add(f_z, f_x);
+            let f_y = (-uy).mul_add(f_z, f_y);
+
+            // Down the strut to the floor's centre: a → a + ψ × h z.
+            let h = q[0][k];
+            let (sj, cj) = (s * j, c * j);
+            let h_xx = -(h * m_xy);
+            let h_xy = -(h * m_yy);
+            let h_yx = h.mul_add(m_xx, -(s * k_x));
+            let h_yy = h.mul_add(m_xy, -(s * k_y));
+            let (h_zx, h_zy) = (c * k_x, c * k_y);
+            carried.j_xx[lane] = -(h * h_xy);
+            carried.j_xy[lane] = -(h * h_yy);
+            carried.j_xz[lane] = -(h * h_zy);
+            carried.j_yy[lane] = s.mul_add(sj, h * (-s).mul_add(k_x, h_yx));
+            carried.j_yz[lane] = h.mul_add(h_zx, -(s * cj));
+            carried.j_zz[lane] = c * cj;
+            carried.h_xx[lane] = h_xx;
+            carried.h_xy[lane] = h_xy;
+            carried.h_yx[lane] = h_yx;
+            carried.h_yy[lane] = h_yy;
+            carried.h_zx[lane] = h_zx;
+            carried.h_zy[lane] = h_zy;
+            carried.m_xx[lane] = m_xx;
+            carried.m_xy[lane] = m_xy;
+            carried.m_yy[lane] = m_yy;
+            carried.torque[0][lane] = -(h * f_y);
+            carried.torque[1][lane] = h.mul_add(f_x, -(s * n));
+            carried.torque[2][lane] = c * n;
+            carried.force[0][lane] = f_x;
+            carried.force[1][lane] = f_y;
+        }
+    }
+}
+
+/// Base to tip: the accelerations of all coordinates.
+#[inline(always)]
+pub(crate) fn outward<const L: usize>(
+    compartments: usize,
+    coordinates: &[Block],
+    angles: &[Angles],
+    planes: &[Plane],
+    joints: &[Joints],
+    accelerations: &mut [Block],
+) {
+    let mut psi = [[0.0; L]; 3];
+    let mut linear = [[0.0; L]; 3];
+    for j in 0..compartments {
+        let (chunk, slot) = place::<L>(j);
+        let (q, trig) = (&coordinates[chunk].0, &angles[chunk]);
+        let (plane, joint) = (&planes[chunk], &joints[chunk]);
+        let out = &mut accelerations[chunk].0;
+        for lane in 0..L {
+            let k = slot + lane;
+            let h = q[0][k];
+            let (p_x, p_y, p_z) = (psi[0][lane], psi[1][lane], psi[2][lane]);
+            let a_x = h.mul_add(p_y, linear[0][lane]);
+            let a_y = (-h).mul_add(p_x, linear[1][lane]);
+            let before = linear[2][lane];
+
+            // About x the torque axis e is the frame's z.
+            let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
+            let (p_y, p_z) = (c.mul_add(p_y, s * p_z), c.mul_add(p_z, -(s * p_y)));
+            let slide = &joint.slide;
+            let a_z = (-slide[1][k]).mul_add(
+                p_z,
+                (-slide[2][k]).mul_add(a_x, (-slide[3][k]).mul_add(a_y, -slide[0][k])),
+            );
+            out[0][k] = a_z - before;
+
+            let (a_y, a_z) = (c.mul_add(a_y, s * a_z), c.mul_add(a_z, -(s * a_y)));
+            let x = &joint.about_x;
+            let turned = (-x[4][k]).mul_add(
+                a_z,
+                (-x[3][k]).mul_add(
+                    a_y,
+                    (-x[2][k]).mul_add(a_x, (-x[1][k]).mul_add(p_z, -x[0][k])),
+                ),
+            );
+            out[1][k] = turned - p_x;
+            let p_x = turned;
+
+            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
+            let (p_x, p_z) = (c.mul_add(p_x, -(s * p_z)), c.mul_add(p_z, s * p_x));
+            let (a_x, a_z) = (c.mul_add(a_x, -(s * a_z)), c.mul_add(a_z, s * a_x));
+            let y = &joint.about_y;
+            let turned = (-y[5][k]).mul_add(
+                a_z,
+                (-y[4][k]).mul_add(
+                    a_y,
+                    (-y[3][k]).mul_add(
+                        a_x,
+                        (-y[2][k]).mul_add(p_z, (-y[1][k]).mul_add(p_x, -y[0][k])),
+                    ),
+                ),
+            );
+            out[2][k] = turned - p_y;
+
+            out[3][k] = plane.radial[0][k] - a_x;
+            out[4][k] = plane.radial[1][k] - a_y;
+            out[5][k] = plane.radial[2][k] + a_x;
+            out[6][k] = plane.radial[3][k] + a_y;
+            psi[0][lane] = p_x;
+            psi[1][lane] = turned;
+            psi[2][lane] = p_z;
+            linear[0][lane] = a_x;
+            linear[1][lane] = a_y;
+            linear[2][lane] = a_z;
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Velocities, and the accelerations that the planes would have if every q̈ were zero.
+//!
+//! Carrying those accelerations outward (with everything a moving base brings: its angular
+//! acceleration, centrifugal and Coriolis terms) leaves the articulated-body recursion without bias
+//! accelerations. All are accelerations of points, in the classical sense.
+
+use super::trigonometry::Angles;
+use super::{BaseFrame, Block, Row, WIDTH, place};
+
+/// Motion of a compartment's ceiling plane with q̈ = 0.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Motion {
+    /// Angular velocity, plane's frame.
+    pub(crate) omega: [Row; 3],
+    /// Angular acceleration, plane's frame.
+    pub(crate) psi: [Row; 3],
+    /// Acceleration of the centre, plane's frame.
+    pub(crate) acceleration: [Row; 3],
+    /// Velocity of the centre, in the frame of the compartment's floor (whose z is the strut).
+    pub(crate) velocity: [Row; 3],
+    /// Gravity, in the frame of the compartment's floor.
+    pub(crate) gravity: [Row; 3],
+}
+
+impl Motion {
+    pub(crate) const ZERO: Self = Self {
+        omega: [[0.0; WIDTH]; 3],
+        psi: [[0.0; WIDTH]; 3],
+        acceleration: [[0.0; WIDTH]; 3],
+        velocity: [[0.0; WIDTH]; 3],
+        gravity: [[0.0; WIDTH]; 3],
+    };
+}
+
+/// `R_x(α)ᵀ` on a vector.
+#[inline(always)]
+fn turn_x(v: [f64; 3], sine: f64, cosine: f64) -> [f64; 3] {
+    [v[0], cosine.mul_add(v[1], sine * v[2]), cosine.mul_add(v[2], -(sine * v[1]))]
+}
+
+/// `R_y(β)ᵀ` on a vector.
+#[inline(always)]
+fn turn_y(v: [f64; 3], sine: f64, cosine: f64) -> [f64; 3] {
+    [cosine.mul_add(v[0], -(sine * v[2])), v[1], cosine.mul_add(v[2], sine * v[0])]
+}
+
+#[inline(always)]
+pub(crate) fn outward<const L: usize>(
+    compartments: usize,
+    base: &BaseFrame<L>,
+    coordinates: &[Block],
+    rates: &[Block],
+    angles: &[Angles],
+    motions: &mut [Motion],
+) {
+    let mut omega = base.omega;
+    let mut psi = base.psi;
+    let mut gravity = base.gravity;
+    let mut velocity = [[0.0; L]; 3];
+    let mut acceleration = [[0.0; L]; 3];
+    for j in 0..compartments {
+        let (chunk, slot) = place::<L>(j);
+        let (q, u, trig) = (&coordinates[chunk].0, &rates[chunk].0, &angles[chunk]);
+        let out = &mut motions[chunk];
+        for lane in 0..L {
+            let k = slot + lane;
+            let (h, h_rate, a_rate, b_rate) = (q[0][k], u[0][k], u[1][k], u[2][k]);
+            let w = [omega[0][lane], omega[1][lane], omega[2][lane]];
+            let p = [psi[0][lane], psi[1][lane], psi[2][lane]];
+            let v = [velocity[0][lane], velocity[1][lane], velocity[2][lane]];
+            let a = [acceleration[0][lane], acceleration[1][lane], acceleration[2][lane]];
+            let g = [gravity[0][lane], gravity[1][lane], gravity[2][lane]];
+
+            // Along the strut, h z: v + ω × h z + ḣ z, a + ψ × h z + ω × (ω × h z) + 2 ḣ ω × z.
+            let v = [h.mul_add(w[1], v[0]), (-h).mul_add(w[0], v[1]), v[2] + h_rate];
+            let twice = 2.0 * h_rate;
+            let a = [
+                h.mul_add(w[0].mul_add(w[2], p[1]), twice.mul_add(w[1], a[0])),
+                h.mul_add(w[1].mul_add(w[2], -p[0]), (-twice).mul_add(w[0], a[1])),
+                (-h).mul_add(w[0].mul_add(w[0], w[1] * w[1]), a[2]),
+            ];
+            for axis in 0..3 {
+                out.velocity[axis][k] = v[axis];
+                out.gravity[axis][k] = g[axis];
+            }
+
+            // About x, then about y: ω + rate e, ψ + ω × rate e.
+            let (sine, cosine) = (trig.sin_alpha[k], trig.cos_alpha[k]);
+            let (w, p) = (turn_x(w, sine, cosine), turn_x(p, sine, cosine));
+            let (v, a, g) =
+                (turn_x(v, sine, cosine), turn_x(a, sine, cosine), turn_x(g, sine, cosine));
+            let p = [p[0], w[2].mul_add(a_rate, p[1]), (-w[1]).mul_add(a_rate, p[2])];
+            let w = [w[0] + a_rate, w[1], w[2]];
+
+            let (sine, cosine) = (trig.sin_beta[k], trig.cos_beta[k]);
+            let (w, p) = (turn_y(w, sine, cosine), turn_y(p, sine, cosine));
+            let (v, a, g) =
+                (turn_y(v, sine, cosine), turn_y(a, sine, cosine), turn_y(g, sine, cosine));
+            let p = [(-w[2]).mul_add(b_rate, p[0]), p[1], w[0].mul_add(b_rate, p[2])];
+            let w = [w[0], w[1] + b_rate, w[2]];
+
+            for axis in 0..3 {
+                out.omega[axis][k] = w[axis];
+                out.psi[axis][k] = p[axis];
+                out.acceleration[axis][k] = a[axis];
+                omega[axis][lane] = w[axis];
+                psi[axis][lane] = p[axis];
+                velocity[axis][lane] = v[axis];
+                acceleration[axis][lane] = a[axis];
+                gravity[axis][lane] = g[axis];
+            }
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Gravity, buoyancy, drag and lift on a compartment (Eqs. 9–15), and its volume.
+//!
+//! In the frame of the compartment's floor the strut is the z-axis, so the angle of incidence is that
+//! between the velocity and z.
+
+use super::kinematics::Motion;
+use super::{Block, Floor, Material, Rest, Row, WIDTH};
+use crate::transcendental::atan_small;
+
+/// External force on the ceiling plane's centre and the compartment's excess volume.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct External {
+    /// `F_ex`, floor's frame \[N\].
+    pub(crate) force: [Row; 3],
+    /// `V − V_0` \[m³\].
+    pub(crate) excess_volume: Row,
+}
+
+impl External {
+    pub(crate) const ZERO: Self = Self { force: [[0.0; WIDTH]; 3], excess_volume: [0.0; WIDTH] };
+}
+
+/// Keeps a quotient of two vanishing numbers at zero; far below anything it is added to.
+const TINY: f64 = 1e-290;
+
+/// Sine times cosine of the incidence below which the lift's direction is undefined.
+const LIFT_DEGENERACY: f64 = 1e-9;
+
+#[inline(always)]
+fn polynomial(coefficients: &[Row; 5], k: usize, x: f64) -> f64 {
+    let sum = coefficients[0][k].mul_add(x, coefficients[1][k]);
+    let sum = sum.mul_add(x, coefficients[2][k]);
+    let sum = sum.mul_add(x, coefficients[3][k]);
+    sum.mul_add(x, coefficients[4][k])
+}
+
+#[inline(always)]
+pub(crate) fn external(
+    material: &Material,
+    rest: &Rest,
+    coordinates: &Block,
+    floor: &Floor,
+    motion: &Motion,
+    out: &mut External,
+) {
+    let q = &coordinates.0;
+    for k in 0..WIDTH {
+        let h = q[0][k];
+        let base = 0.25 * ((floor.radius[0][k] + floor.radius[1][k]) + (floor.radius[2][k] + floor.radius[3][k]));
+        let top = 0.25 * ((q[3][k] + q[4][k]) + (q[5][k] + q[6][k]));
+        let squares = base.mul_add(base, top.mul_add(base, top * top));
+        let volume = std::f64::consts::FRAC_PI_3 * h * squares;
+        out.excess_volume[k] = volume - rest.volume[k];
+
+        let (x, y, z) = (motion.velocity[0][k], motion.velocity[1][k], motion.velocity[2][k]);
+        let across_squared = x.mul_add(x, y * y);
+        let across = across_squared.sqrt();
+        let along = z.abs();
+        let speed = z.mul_add(z, across_squared).sqrt();
+
+        // Angle of incidence, folded to [0, 90] degrees: twice the arc tangent of the half angle.
+        let steep = across > along;
+        let small = if steep { along } else { across };
+        let large = if steep { across } else { along };
+        let half = atan_small(small / (speed + large + TINY));
+        let near = half * (360.0 / std::f64::consts::PI);
+        let incidence = if steep { 90.0 - near } else { near };
+
+        let pressure = material.pressure_area[k] * (base + top) * h * speed;
+        let drag = pressure * polynomial(&material.drag_coefficients, k, incidence);
+        let lift = pressure * material.lift_scale[k] * polynomial(&material.lift_coefficients, k, incidence);
+
+        // Lift: the part of −v across the strut, made orthogonal to v, has the unit vector
+        // (−|v_z| v_⊥/|v_⊥| + |v_⊥| sign(v_z) z) / |v|.
+        // It has no direction where the flow is along the strut or square to it; there, within
+        // rounding, lift is zero, for its sign would be noise.
+        let has_direction = along * across > LIFT_DEGENERACY * (speed * speed);
+        let lift = if has_direction { lift } else { 0.0 };
+        let sideways = -(drag + lift * along / (across + TINY));
+        let lengthwise = (-drag).mul_add(z, lift * across.copysign(z));
+        let weight = material.net_density[k] * volume;
+        out.force[0][k] = weight.mul_add(motion.gravity[0][k], sideways * x);
+        out.force[1][k] = weight.mul_add(motion.gravity[1][k], sideways * y);
+        out.force[2][k] = weight.mul_add(motion.gravity[2][k], lengthwise);
+    }
+}

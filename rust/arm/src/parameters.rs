@@ -1,0 +1,314 @@
+//! The body's parameters: Table 1 of the paper and the quantities that the table leaves open.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::ParameterError;
+
+/// Which area Eqs. 12–13 multiply (the paper's `A_r`), before `area_scale`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReferenceArea {
+    /// Wetted lateral area, `π (R_b + R_t) h`.
+    Wetted,
+    /// Projected side area, `(R_b + R_t) h`.
+    Planform,
+}
+
+/// Which forces the isovolumetric constraint of Eqs. 7–8 is proportional to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VolumeForce {
+    /// As printed: `|δ_c|` in Eq. 7 and `|Σ (ξ_c + ξ_v) + F_ex·n|` in Eq. 8.
+    Applied,
+    /// The springs' own forces count too: `δ_c − K_r (r − r_0) − C_r ṙ` and
+    /// `ξ_c − K_l (l − l_0) − C_l l̇`.
+    Total,
+}
+
+/// Every parameter of the body, in SI units. Defaults are Table 1 of the paper with the readings
+/// documented for each field; all are validated by [`ArmParameters::validate`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ArmParameters {
+    /// Rest length `l_0` of every longitudinal spring \[m\].
+    pub rest_length: f64,
+    /// Radius `r_0` of the base plane, and rest radius of the first plane's taper \[m\].
+    pub base_radius: f64,
+    /// Rest radius of the last plane \[m\]; the planes between taper linearly.
+    pub tip_radius: f64,
+    /// Mass `M_l` of a longitudinal spring, lumped at its upper joint \[kg\].
+    pub longitudinal_mass: f64,
+    /// Mass `M_r` of a transverse spring, lumped at the same joint \[kg\].
+    pub transverse_mass: f64,
+    /// Damping `C_l` of a longitudinal spring \[N s/m\].
+    pub longitudinal_damping: f64,
+    /// Damping `C_r` of a transverse spring \[N s/m\].
+    pub transverse_damping: f64,
+    /// Stiffness `K_l` of a longitudinal spring \[N/m\].
+    pub longitudinal_stiffness: f64,
+    /// Stiffness `K_r` of a transverse spring \[N/m\].
+    pub transverse_stiffness: f64,
+    /// Gain `K_lv` of the isovolumetric force on longitudinal springs, Eq. 7 \[1/m³\].
+    pub longitudinal_volume_gain: f64,
+    /// Gain `K_rv` of the isovolumetric force on transverse springs, Eq. 8 \[1/m³\].
+    pub transverse_volume_gain: f64,
+    /// Density `ρ_w` of the water \[kg/m³\]; 0 takes the arm out of the water.
+    pub water_density: f64,
+    /// Density `ρ_o` of the arm \[kg/m³\], Eqs. 10–11.
+    pub arm_density: f64,
+    /// Gravity vector in the world frame \[m/s²\]; the resting arm points along +z, so the default hangs.
+    pub gravity: [f64; 3],
+    /// Factor on the reference area of Eqs. 12–13.
+    pub area_scale: f64,
+    /// Which area `area_scale` multiplies.
+    pub reference_area: ReferenceArea,
+    /// Reading of Eqs. 7–8.
+    pub volume_force: VolumeForce,
+    /// Eq. 14, highest power first, angle in degrees.
+    pub drag_coefficients: [f64; 5],
+    /// Eq. 15, highest power first, angle in degrees.
+    pub lift_coefficients: [f64; 5],
+    /// Factor on the lift force; 0 turns lift off.
+    pub lift_scale: f64,
+    /// Mass `M_ce` of a plane at its centre \[kg\], beside its four joint masses.
+    pub plane_mass: f64,
+    /// Moment of inertia `I_ce` of a plane about its x and y axes \[kg m²\]; twice that about z.
+    pub plane_inertia: f64,
+    /// Number of compartments.
+    pub compartments: usize,
+    /// Step of the fourth-order Runge–Kutta method \[s\].
+    pub timestep: f64,
+    /// Natural frequency of the critically damped base servo \[Hz\].
+    pub servo_frequency: f64,
+}
+
+impl Default for ArmParameters {
+    fn default() -> Self {
+        Self {
+            rest_length: 0.02,
+            base_radius: 0.015,
+            tip_radius: 0.0067,
+            longitudinal_mass: 1.25e-3,
+            transverse_mass: 1.25e-3,
+            longitudinal_damping: 1.0,
+            transverse_damping: 1.0,
+            longitudinal_stiffness: 196.0,
+            transverse_stiffness: 1570.0,
+            longitudinal_volume_gain: 1e6,
+            transverse_volume_gain: 1e6,
+            water_density: 1000.0,
+            arm_density: 1303.0,
+            gravity: [0.0, 0.0, 9.81],
+            area_scale: 1.0,
+            reference_area: ReferenceArea::Wetted,
+            volume_force: VolumeForce::Applied,
+            drag_coefficients: [-5.5e-9, 6.3e-7, -7.7e-6, 0.0015, 0.017],
+            lift_coefficients: [1.8e-9, -5.9e-7, 2.8e-5, 0.0011, 0.00089],
+            lift_scale: 1.0,
+            plane_mass: 0.0,
+            plane_inertia: 0.0,
+            compartments: 20,
+            timestep: 1e-3,
+            servo_frequency: 12.0,
+        }
+    }
+}
+
+/// Allowed interval of a scalar parameter.
+struct Range {
+    low: f64,
+    high: f64,
+    low_excluded: bool,
+}
+
+const fn at_least(low: f64, high: f64) -> Range {
+    Range { low, high, low_excluded: false }
+}
+
+const fn above(low: f64, high: f64) -> Range {
+    Range { low, high, low_excluded: true }
+}
+
+impl Range {
+    fn check(&self, name: &str, value: f64) -> Result<(), ParameterError> {
+        let above_low = if self.low_excluded { value > self.low } else { value >= self.low };
+        if above_low && value <= self.high {
+            return Ok(());
+        }
+        let bracket = if self.low_excluded { '(' } else { '[' };
+        Err(ParameterError::OutOfRange {
+            name: name.to_owned(),
+            value: value.to_string(),
+            range: format!("{bracket}{}, {}]", self.low, self.high),
+        })
+    }
+}
+
+impl ArmParameters {
+    /// Largest number of compartments.
+    pub const MAX_COMPARTMENTS: usize = 1000;
+
+    /// Checks every parameter.
+    ///
+    /// # Errors
+    /// [`ParameterError`] with the name, value and allowed range of the first parameter found
+    /// outside it (a NaN is outside every range).
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        let scalars: [(&str, f64, Range); 19] = [
+            ("rest_length", self.rest_length, above(0.0, 10.0)),
+            ("base_radius", self.base_radius, above(0.0, 10.0)),
+            ("tip_radius", self.tip_radius, above(0.0, 10.0)),
+            ("longitudinal_mass", self.longitudinal_mass, above(0.0, 100.0)),
+            ("transverse_mass", self.transverse_mass, at_least(0.0, 100.0)),
+            ("longitudinal_damping", self.longitudinal_damping, at_least(0.0, 1e6)),
+            ("transverse_damping", self.transverse_damping, at_least(0.0, 1e6)),
+            ("longitudinal_stiffness", self.longitudinal_stiffness, above(0.0, 1e9)),
+            ("transverse_stiffness", self.transverse_stiffness, above(0.0, 1e9)),
+            ("longitudinal_volume_gain", self.longitudinal_volume_gain, at_least(0.0, 1e12)),
+            ("transverse_volume_gain", self.transverse_volume_gain, at_least(0.0, 1e12)),
+            ("water_density", self.water_density, at_least(0.0, 1e5)),
+            ("arm_density", self.arm_density, at_least(0.0, 1e5)),
+            ("area_scale", self.area_scale, at_least(0.0, 1e4)),
+            ("lift_scale", self.lift_scale, at_least(-1e4, 1e4)),
+            ("plane_mass", self.plane_mass, at_least(0.0, 100.0)),
+            ("plane_inertia", self.plane_inertia, at_least(0.0, 100.0)),
+            ("timestep", self.timestep, above(0.0, 0.1)),
+            ("servo_frequency", self.servo_frequency, above(0.0, 1e4)),
+        ];
+        for (name, value, range) in scalars {
+            range.check(name, value)?;
+        }
+        for (axis, value) in self.gravity.into_iter().enumerate() {
+            at_least(-1e3, 1e3).check(&format!("gravity[{axis}]"), value)?;
+        }
+        for (index, value) in self.drag_coefficients.into_iter().enumerate() {
+            at_least(-1e3, 1e3).check(&format!("drag_coefficients[{index}]"), value)?;
+        }
+        for (index, value) in self.lift_coefficients.into_iter().enumerate() {
+            at_least(-1e3, 1e3).check(&format!("lift_coefficients[{index}]"), value)?;
+        }
+        if !(1..=Self::MAX_COMPARTMENTS).contains(&self.compartments) {
+            return Err(ParameterError::OutOfRange {
+                name: "compartments".to_owned(),
+                value: self.compartments.to_string(),
+                range: format!("[1, {}]", Self::MAX_COMPARTMENTS),
+            });
+        }
+        let step = self.radius_step().abs();
+        if step >= self.rest_length {
+            return Err(ParameterError::OutOfRange {
+                name: "rest_length".to_owned(),
+                value: self.rest_length.to_string(),
+                range: format!("({step}, 10]: longer than the taper from one plane to the next"),
+            });
+        }
+        self.check_drag()
+    }
+
+    /// A drag coefficient below zero would push the arm along: Eq. 14 must stay at or above zero
+    /// on the whole range of incidence, 0 to 90 degrees.
+    fn check_drag(&self) -> Result<(), ParameterError> {
+        for tenth in 0..=900_u32 {
+            let angle = f64::from(tenth) / 10.0;
+            let value = self.drag_coefficients.iter().fold(0.0, |sum, e| sum * angle + e);
+            if value < 0.0 {
+                return Err(ParameterError::OutOfRange {
+                    name: "drag_coefficients".to_owned(),
+                    value: format!("{:?} (Eq. 14 gives {value} at {angle} degrees)", self.drag_coefficients),
+                    range: "a polynomial at or above 0 from 0 to 90 degrees".to_owned(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Parameters from JSON text; fields left out take their defaults.
+    ///
+    /// # Errors
+    /// [`ParameterError::Format`] for text that is not JSON of the right shape (an unknown field is
+    /// named), [`ParameterError::OutOfRange`] as [`ArmParameters::validate`].
+    pub fn from_json(text: &str) -> Result<Self, ParameterError> {
+        let parameters: Self =
+            serde_json::from_str(text).map_err(|error| ParameterError::Format(error.to_string()))?;
+        parameters.validate()?;
+        Ok(parameters)
+    }
+
+    /// The parameters as JSON text; [`ArmParameters::from_json`] gives them back bit for bit.
+    ///
+    /// # Errors
+    /// [`ParameterError::Format`] if a value has no JSON form (only possible before validation).
+    pub fn to_json(&self) -> Result<String, ParameterError> {
+        serde_json::to_string_pretty(self).map_err(|error| ParameterError::Format(error.to_string()))
+    }
+
+    /// Change of rest radius from one plane to the next \[m\], negative for an arm that tapers.
+    #[must_use]
+    pub fn radius_step(&self) -> f64 {
+        (self.tip_radius - self.base_radius) / self.compartments as f64
+    }
+
+    /// Rest radius of plane `plane` (0 is the base) \[m\].
+    #[must_use]
+    pub fn rest_radius(&self, plane: usize) -> f64 {
+        self.base_radius + self.radius_step() * plane as f64
+    }
+
+    /// Rest height of every strut \[m\]: with it each longitudinal spring has its rest length.
+    #[must_use]
+    pub fn rest_height(&self) -> f64 {
+        let step = self.radius_step();
+        (self.rest_length * self.rest_length - step * step).sqrt()
+    }
+
+    /// Rest volume `V_0` of compartment `compartment` (counted from 0) \[m³\].
+    #[must_use]
+    pub fn rest_volume(&self, compartment: usize) -> f64 {
+        crate::geometry::frustum_volume(
+            self.rest_radius(compartment),
+            self.rest_radius(compartment + 1),
+            self.rest_height(),
+        )
+    }
+
+    /// Mass lumped at a joint, `M_l + M_r` \[kg\].
+    #[must_use]
+    pub fn joint_mass(&self) -> f64 {
+        self.longitudinal_mass + self.transverse_mass
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_volumes_are_table_1() {
+        let parameters = ArmParameters::default();
+        // Table 1 prints three digits: 1.38e-5 and 2.99e-6.
+        assert!((parameters.rest_volume(0) / 1.38e-5 - 1.0).abs() < 0.004);
+        assert!((parameters.rest_volume(19) / 2.99e-6 - 1.0).abs() < 0.004);
+    }
+
+    #[test]
+    fn errors_name_the_parameter_the_value_and_the_range() {
+        let parameters = ArmParameters { longitudinal_mass: -1.0, ..Default::default() };
+        let message = parameters.validate().expect_err("negative mass").to_string();
+        assert_eq!(message, "longitudinal_mass = -1 is outside the allowed range (0, 100]");
+        for bad in [f64::NAN, f64::INFINITY] {
+            let parameters = ArmParameters { timestep: bad, ..Default::default() };
+            assert!(parameters.validate().is_err());
+        }
+        let parameters = ArmParameters { drag_coefficients: [0.0, 0.0, 0.0, -1.0, 0.5], ..Default::default() };
+        assert!(parameters.validate().expect_err("thrust").to_string().contains("drag_coefficients"));
+    }
+
+    #[test]
+    fn json_round_trip_is_exact_and_unknown_fields_are_named() {
+        let parameters = ArmParameters { arm_density: 1.0 / 3.0 * 4000.0, ..Default::default() };
+        let text = parameters.to_json().expect("json");
+        assert_eq!(ArmParameters::from_json(&text).expect("parse"), parameters);
+        let message = ArmParameters::from_json(r#"{"stiffness": 3}"#).expect_err("unknown").to_string();
+        assert!(message.contains("stiffness"), "{message}");
+    }
+}

@@ -1,0 +1,83 @@
+//! The arm's complete dynamic state.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::ParameterError;
+use crate::parameters::ArmParameters;
+
+/// Number of coordinates of a compartment: `[h, α, β, r1, r2, r3, r4]`.
+pub const COORDINATES: usize = 7;
+
+/// Everything that the next step depends on, beside parameters, muscle inputs and the command.
+/// Restoring a saved state is exact: the steps that follow have the same bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmState {
+    /// `[h, α, β, r1..r4]` of every compartment \[m, rad, rad, m…\].
+    pub coordinates: Vec<[f64; COORDINATES]>,
+    /// Time derivatives of the coordinates \[m/s, rad/s\].
+    pub rates: Vec<[f64; COORDINATES]>,
+    /// Base `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
+    pub base: [f64; 4],
+    /// Physics steps since the last reset.
+    pub steps: u64,
+}
+
+impl ArmState {
+    /// All springs at rest length, everything at rest, base at θ = φ = 0.
+    #[must_use]
+    pub fn undeformed(parameters: &ArmParameters) -> Self {
+        let height = parameters.rest_height();
+        let coordinates = (1..=parameters.compartments)
+            .map(|plane| {
+                let radius = parameters.rest_radius(plane);
+                [height, 0.0, 0.0, radius, radius, radius, radius]
+            })
+            .collect();
+        Self {
+            coordinates,
+            rates: vec![[0.0; COORDINATES]; parameters.compartments],
+            base: [0.0; 4],
+            steps: 0,
+        }
+    }
+
+    /// Checks that the state fits a body of `compartments` compartments and holds finite numbers.
+    ///
+    /// # Errors
+    /// [`ParameterError::Shape`] or [`ParameterError::OutOfRange`], naming the array.
+    pub fn validate(&self, compartments: usize) -> Result<(), ParameterError> {
+        for (name, rows) in [("coordinates", &self.coordinates), ("rates", &self.rates)] {
+            if rows.len() != compartments {
+                return Err(ParameterError::Shape {
+                    name: format!("state.{name}"),
+                    found: format!("({}, {COORDINATES})", rows.len()),
+                    expected: format!("({compartments}, {COORDINATES})"),
+                });
+            }
+            for (row, column, value) in rows
+                .iter()
+                .enumerate()
+                .flat_map(|(j, row)| row.iter().enumerate().map(move |(k, value)| (j, k, value)))
+            {
+                if !value.is_finite() {
+                    return Err(ParameterError::OutOfRange {
+                        name: format!("state.{name}[{row}, {column}]"),
+                        value: value.to_string(),
+                        range: "of finite numbers".to_owned(),
+                    });
+                }
+            }
+        }
+        for (index, value) in self.base.iter().enumerate() {
+            if !value.is_finite() {
+                return Err(ParameterError::OutOfRange {
+                    name: format!("state.base[{index}]"),
+                    value: value.to_string(),
+                    range: "of finite numbers".to_owned(),
+                });
+            }
+        }
+        Ok(())
+    }
+}
