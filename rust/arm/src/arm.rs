@@ -67,6 +67,14 @@ impl Arm {
         Ok(arm)
     }
 
+    /// The same arm computing with other vector instructions, or with the best there are if the
+    /// processor lacks them. The results are the same to the bit.
+    #[must_use]
+    pub fn with_instruction_set(mut self, instructions: InstructionSet) -> Self {
+        self.instructions = instructions.min(InstructionSet::best());
+        self
+    }
+
     /// The body's parameters.
     #[must_use]
     pub fn parameters(&self) -> &ArmParameters {

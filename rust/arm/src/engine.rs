@@ -34,7 +34,7 @@ pub(crate) struct Engine<const L: usize> {
 }
 
 /// Vector instructions that a step may be compiled for. The bits are the same for all of them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum InstructionSet {
     /// What every processor of the architecture has. Without fused multiply-add in hardware this is
     /// slow: the bits come first.
@@ -61,8 +61,10 @@ impl InstructionSet {
         })
     }
 
+    /// The best set of this processor.
+    #[must_use]
     #[cfg(target_arch = "x86_64")]
-    fn best() -> Self {
+    pub fn best() -> Self {
         let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
         let avx512 = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512dq")
@@ -75,9 +77,31 @@ impl InstructionSet {
         }
     }
 
+    /// The best set of this processor.
+    #[must_use]
     #[cfg(not(target_arch = "x86_64"))]
-    fn best() -> Self {
+    pub fn best() -> Self {
         Self::Baseline
+    }
+}
+
+/// `out = factor x + y`.
+#[inline(always)]
+fn axpy(factor: f64, x: &Block, y: &Block, out: &mut Block) {
+    for row in 0..COORDINATES {
+        for k in 0..WIDTH {
+            out.0[row][k] = factor.mul_add(x.0[row][k], y.0[row][k]);
+        }
+    }
+}
+
+/// `out += factor x`.
+#[inline(always)]
+fn accumulate(factor: f64, x: &Block, out: &mut Block) {
+    for row in 0..COORDINATES {
+        for k in 0..WIDTH {
+            out.0[row][k] = factor.mul_add(x.0[row][k], out.0[row][k]);
+        }
     }
 }
 
@@ -102,7 +126,7 @@ impl<const L: usize> Engine<L> {
             rest[chunk].radius[slot..slot + L].fill(parameters.rest_radius(j + 1));
             rest[chunk].volume[slot..slot + L].fill(parameters.rest_volume(j));
         }
-        let workspace = Workspace::new(&rest);
+        let workspace = Workspace::new(chunks);
         let mut engine = Self {
             body: Body { compartments: n, material: Material::new(parameters), rest },
             bounds: Bounds::new(parameters),
@@ -244,40 +268,26 @@ impl<const L: usize> Engine<L> {
 
         evaluate::<L>(body, &start, coordinates, rates, muscles, workspace);
         for c in 0..chunks {
-            let (q, u, a) = (&coordinates[c].0, &rates[c].0, &workspace.accelerations[c].0);
-            for row in 0..COORDINATES {
-                for k in 0..WIDTH {
-                    next_q[c].0[row][k] = sixth.mul_add(u[row][k], q[row][k]);
-                    next_u[c].0[row][k] = sixth.mul_add(a[row][k], u[row][k]);
-                    stage_q[c].0[row][k] = half.mul_add(u[row][k], q[row][k]);
-                    stage_u[c].0[row][k] = half.mul_add(a[row][k], u[row][k]);
-                }
-            }
+            let (q, u, a) = (&coordinates[c], &rates[c], &workspace.accelerations[c]);
+            axpy(sixth, u, q, &mut next_q[c]);
+            axpy(sixth, a, u, &mut next_u[c]);
+            axpy(half, u, q, &mut stage_q[c]);
+            axpy(half, a, u, &mut stage_u[c]);
         }
         for (frame, advance) in [(&middle, half), (&middle, dt)] {
             evaluate::<L>(body, frame, stage_q, stage_u, muscles, workspace);
             for c in 0..chunks {
-                let (q, u, a) = (&coordinates[c].0, &rates[c].0, &workspace.accelerations[c].0);
-                for row in 0..COORDINATES {
-                    for k in 0..WIDTH {
-                        let velocity = stage_u[c].0[row][k];
-                        next_q[c].0[row][k] = third.mul_add(velocity, next_q[c].0[row][k]);
-                        next_u[c].0[row][k] = third.mul_add(a[row][k], next_u[c].0[row][k]);
-                        stage_q[c].0[row][k] = advance.mul_add(velocity, q[row][k]);
-                        stage_u[c].0[row][k] = advance.mul_add(a[row][k], u[row][k]);
-                    }
-                }
+                let (q, u, a) = (&coordinates[c], &rates[c], &workspace.accelerations[c]);
+                accumulate(third, &stage_u[c], &mut next_q[c]);
+                accumulate(third, a, &mut next_u[c]);
+                axpy(advance, &stage_u[c], q, &mut stage_q[c]);
+                axpy(advance, a, u, &mut stage_u[c]);
             }
         }
         evaluate::<L>(body, &end, stage_q, stage_u, muscles, workspace);
         for c in 0..chunks {
-            let a = &workspace.accelerations[c].0;
-            for row in 0..COORDINATES {
-                for k in 0..WIDTH {
-                    next_q[c].0[row][k] = sixth.mul_add(stage_u[c].0[row][k], next_q[c].0[row][k]);
-                    next_u[c].0[row][k] = sixth.mul_add(a[row][k], next_u[c].0[row][k]);
-                }
-            }
+            accumulate(sixth, &stage_u[c], &mut next_q[c]);
+            accumulate(sixth, &workspace.accelerations[c], &mut next_u[c]);
         }
 
         spring_lengths::<L>(body, &self.base_radius, next_q, next_u, workspace, &mut self.next_lengths);

@@ -144,6 +144,10 @@ pub(crate) struct Floor {
     pub(crate) rate: [Row; 4],
 }
 
+impl Floor {
+    pub(crate) const ZERO: Self = Self { radius: [[0.0; WIDTH]; 4], rate: [[0.0; WIDTH]; 4] };
+}
+
 /// The base's motion in its own frame, one value a lane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BaseFrame<const L: usize> {
@@ -180,15 +184,10 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
-    pub(crate) fn new(rest: &[Rest]) -> Self {
-        let chunks = rest.len();
+    pub(crate) fn new(chunks: usize) -> Self {
         Self {
             angles: vec![trigonometry::Angles::ZERO; chunks],
-            // Slots beyond the tip keep a floor as wide as their ceiling.
-            floors: rest
-                .iter()
-                .map(|rest| Floor { radius: [rest.radius; 4], rate: [[0.0; WIDTH]; 4] })
-                .collect(),
+            floors: vec![Floor::ZERO; chunks],
             motions: vec![kinematics::Motion::ZERO; chunks],
             external: vec![water::External::ZERO; chunks],
             tops: vec![springs::Top::ZERO; chunks],
@@ -208,28 +207,33 @@ pub(crate) struct Body {
     pub(crate) rest: Vec<Rest>,
 }
 
+/// Moves every slot of `this` outward by one compartment; the first `L` slots come from `before`.
+#[inline(always)]
+fn shift_outward<const L: usize>(before: &Row, this: &Row, out: &mut Row) {
+    for k in 0..WIDTH {
+        out[k] = if k < L { before[WIDTH - L + k] } else { this[k - L] };
+    }
+}
+
 /// Fills `floors` with the radii one compartment nearer the base.
 #[inline(always)]
 fn gather_floors<const L: usize>(
-    compartments: usize,
     base_radius: &[f64; L],
     coordinates: &[Block],
     rates: &[Block],
     floors: &mut [Floor],
 ) {
-    for j in 0..compartments {
-        let (chunk, slot) = place::<L>(j);
-        for lane in 0..L {
-            for i in 0..4 {
-                let (radius, rate) = if j == 0 {
-                    (base_radius[lane], 0.0)
-                } else {
-                    let (before, slot) = place::<L>(j - 1);
-                    (coordinates[before].0[3 + i][slot + lane], rates[before].0[3 + i][slot + lane])
-                };
-                floors[chunk].radius[i][slot + lane] = radius;
-                floors[chunk].rate[i][slot + lane] = rate;
-            }
+    let mut base = [0.0; WIDTH];
+    base[WIDTH - L..].copy_from_slice(base_radius);
+    for c in 0..coordinates.len() {
+        for i in 0..4 {
+            let (radius, rate) = if c == 0 {
+                (&base, &[0.0; WIDTH])
+            } else {
+                (&coordinates[c - 1].0[3 + i], &rates[c - 1].0[3 + i])
+            };
+            shift_outward::<L>(radius, &coordinates[c].0[3 + i], &mut floors[c].radius[i]);
+            shift_outward::<L>(rate, &rates[c].0[3 + i], &mut floors[c].rate[i]);
         }
     }
 }
@@ -244,7 +248,7 @@ pub(crate) fn spring_lengths<const L: usize>(
     workspace: &mut Workspace,
     lengths: &mut [[Row; 4]],
 ) {
-    gather_floors::<L>(body.compartments, base_radius, coordinates, rates, &mut workspace.floors);
+    gather_floors::<L>(base_radius, coordinates, rates, &mut workspace.floors);
     for c in 0..body.rest.len() {
         trigonometry::angles(&coordinates[c], &mut workspace.angles[c]);
         springs::lengths(
@@ -276,7 +280,7 @@ pub(crate) fn evaluate<const L: usize>(
         trigonometry::angles(&coordinates[c], &mut w.angles[c]);
     }
     kinematics::outward::<L>(n, base, coordinates, rates, &w.angles, &mut w.motions);
-    gather_floors::<L>(n, &base.radius, coordinates, rates, &mut w.floors);
+    gather_floors::<L>(&base.radius, coordinates, rates, &mut w.floors);
     for c in 0..chunks {
         water::external(
             &body.material,
