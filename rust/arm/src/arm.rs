@@ -37,6 +37,9 @@ pub struct Arm {
     equilibrium: Option<Arc<ArmState>>,
 }
 
+// Python's allocator, for one, aligns objects to 16 bytes.
+const _: () = assert!(align_of::<Arm>() <= 16);
+
 impl Arm {
     /// An arm hanging in static equilibrium.
     ///
@@ -52,7 +55,10 @@ impl Arm {
     ///
     /// # Errors
     /// [`ParameterError`] for parameters out of range.
-    pub fn undeformed(parameters: ArmParameters, actuator: Actuator) -> Result<Self, ParameterError> {
+    pub fn undeformed(
+        parameters: ArmParameters,
+        actuator: Actuator,
+    ) -> Result<Self, ParameterError> {
         parameters.validate()?;
         let mut arm = Self {
             drive: BaseDrive::new(actuator, parameters.servo_frequency, parameters.timestep),
@@ -158,7 +164,11 @@ impl Arm {
         if let Some(failure) = failure {
             self.restore(&before);
             return Err(ParameterError::OutOfRange {
-                name: format!("state: {} of compartment {}", failure.limit.name(), failure.compartment),
+                name: format!(
+                    "state: {} of compartment {}",
+                    failure.limit.name(),
+                    failure.compartment
+                ),
                 value: failure.value.to_string(),
                 range: format!("[{}, {}]", failure.low, failure.high),
             });
@@ -188,7 +198,11 @@ impl Arm {
     ///
     /// # Errors
     /// [`ParameterError`] for slices of another length or numbers that are not finite.
-    pub fn set_muscles(&mut self, longitudinal: &[f64], transverse: &[f64]) -> Result<(), ParameterError> {
+    pub fn set_muscles(
+        &mut self,
+        longitudinal: &[f64],
+        transverse: &[f64],
+    ) -> Result<(), ParameterError> {
         let inputs = [("longitudinal", longitudinal), ("transverse", transverse)];
         for (name, values) in inputs {
             if values.len() != self.observation_len() {
@@ -300,7 +314,11 @@ impl Arm {
     /// # Errors
     /// The number of steps that were made, and the [`DomainError`] of the one that was not; `out`
     /// holds the lengths of those that were.
-    pub fn run(&mut self, commands: &[[f64; 2]], out: &mut [f64]) -> Result<(), (usize, DomainError)> {
+    pub fn run(
+        &mut self,
+        commands: &[[f64; 2]],
+        out: &mut [f64],
+    ) -> Result<(), (usize, DomainError)> {
         let width = self.observation_len();
         for (step, (command, row)) in commands.iter().zip(out.chunks_exact_mut(width)).enumerate() {
             self.step(*command).map_err(|failure| (step, failure))?;
@@ -386,8 +404,7 @@ impl LinearReadout {
 /// [`ParameterError::OutOfRange`] naming the angle.
 pub fn check_command(command: [f64; 2]) -> Result<(), ParameterError> {
     for (name, value) in ["theta", "phi"].into_iter().zip(command) {
-        // Written so that a NaN fails too.
-        if !(value.abs() <= COMMAND_LIMIT) {
+        if value.is_nan() || value.abs() > COMMAND_LIMIT {
             return Err(ParameterError::OutOfRange {
                 name: name.to_owned(),
                 value: value.to_string(),
@@ -397,4 +414,3 @@ pub fn check_command(command: [f64; 2]) -> Result<(), ParameterError> {
     }
     Ok(())
 }
-

@@ -83,8 +83,7 @@ pub(crate) fn energy(parameters: &ArmParameters, state: &ArmState, lengths: &[f6
         let (q, u) = (&state.coordinates[j - 1], &state.rates[j - 1]);
         for (i, direction) in directions.iter().enumerate() {
             let out = pose.frame * direction;
-            let velocity =
-                pose.velocity + pose.omega.cross(&out) * q[3 + i] + out * u[3 + i];
+            let velocity = pose.velocity + pose.omega.cross(&out) * q[3 + i] + out * u[3 + i];
             kinetic += 0.5 * mass * velocity.norm_squared();
             let widening = q[3 + i] - parameters.rest_radius(j);
             let stretch = lengths[4 * (j - 1) + i] - parameters.rest_length;

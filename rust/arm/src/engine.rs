@@ -128,7 +128,7 @@ impl<const L: usize> Engine<L> {
         }
         let workspace = Workspace::new(chunks);
         let mut engine = Self {
-            body: Body { compartments: n, material: Material::new(parameters), rest },
+            body: Body { compartments: n, material: Box::new(Material::new(parameters)), rest },
             bounds: Bounds::new(parameters),
             base_radius: [parameters.base_radius; L],
             gravity: parameters.gravity,
@@ -168,7 +168,11 @@ impl<const L: usize> Engine<L> {
 
     /// What [`Engine::coordinate`], [`Engine::rate`] and [`Engine::length`] would be after the step
     /// that [`Engine::advance`] has just refused.
-    pub(crate) fn refused(&self, lane: usize, j: usize) -> ([f64; COORDINATES], [f64; COORDINATES], [f64; 4]) {
+    pub(crate) fn refused(
+        &self,
+        lane: usize,
+        j: usize,
+    ) -> ([f64; COORDINATES], [f64; COORDINATES], [f64; 4]) {
         let (chunk, slot) = place::<L>(j);
         let k = slot + lane;
         (
@@ -179,7 +183,12 @@ impl<const L: usize> Engine<L> {
     }
 
     /// Sets the state of one lane; call [`Engine::refresh_lengths`] after the last.
-    pub(crate) fn set_state(&mut self, lane: usize, coordinates: &[[f64; COORDINATES]], rates: &[[f64; COORDINATES]]) {
+    pub(crate) fn set_state(
+        &mut self,
+        lane: usize,
+        coordinates: &[[f64; COORDINATES]],
+        rates: &[[f64; COORDINATES]],
+    ) {
         for (j, (q, u)) in coordinates.iter().zip(rates).enumerate() {
             let (chunk, slot) = place::<L>(j);
             for index in 0..COORDINATES {
@@ -222,8 +231,10 @@ impl<const L: usize> Engine<L> {
             frame.psi[1][lane] = phi_acceleration;
             frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
             let [x, y, z] = self.gravity;
-            let (y, z) =
-                (cosine_theta.mul_add(y, sine_theta * z), cosine_theta.mul_add(z, -(sine_theta * y)));
+            let (y, z) = (
+                cosine_theta.mul_add(y, sine_theta * z),
+                cosine_theta.mul_add(z, -(sine_theta * y)),
+            );
             frame.gravity[0][lane] = c.mul_add(x, -(s * z));
             frame.gravity[1][lane] = y;
             frame.gravity[2][lane] = c.mul_add(z, s * x);
@@ -232,7 +243,11 @@ impl<const L: usize> Engine<L> {
     }
 
     /// Accelerations of the present state, in the order of the state's entries.
-    pub(crate) fn accelerations(&mut self, lane: usize, motions: &[BaseMotion; L]) -> Vec<[f64; COORDINATES]> {
+    pub(crate) fn accelerations(
+        &mut self,
+        lane: usize,
+        motions: &[BaseMotion; L],
+    ) -> Vec<[f64; COORDINATES]> {
         let frame = self.base_frame(motions);
         evaluate::<L>(
             &self.body,
@@ -245,7 +260,9 @@ impl<const L: usize> Engine<L> {
         (0..self.body.compartments)
             .map(|j| {
                 let (chunk, slot) = place::<L>(j);
-                std::array::from_fn(|index| self.workspace.accelerations[chunk].0[index][slot + lane])
+                std::array::from_fn(|index| {
+                    self.workspace.accelerations[chunk].0[index][slot + lane]
+                })
             })
             .collect()
     }
@@ -290,7 +307,14 @@ impl<const L: usize> Engine<L> {
             accumulate(sixth, &workspace.accelerations[c], &mut next_u[c]);
         }
 
-        spring_lengths::<L>(body, &self.base_radius, next_q, next_u, workspace, &mut self.next_lengths);
+        spring_lengths::<L>(
+            body,
+            &self.base_radius,
+            next_q,
+            next_u,
+            workspace,
+            &mut self.next_lengths,
+        );
         let mut inside = true;
         for c in 0..chunks {
             inside &= chunk_is_inside(
@@ -330,7 +354,11 @@ fn advance_avx2(engine: &mut Engine<1>, motions: &[[BaseMotion; 1]; 3]) -> bool 
 impl Engine<1> {
     /// [`Engine::advance_inline`], compiled for `instructions`.
     #[allow(unsafe_code)]
-    pub(crate) fn advance(&mut self, instructions: InstructionSet, motions: &[[BaseMotion; 1]; 3]) -> bool {
+    pub(crate) fn advance(
+        &mut self,
+        instructions: InstructionSet,
+        motions: &[[BaseMotion; 1]; 3],
+    ) -> bool {
         match instructions {
             // SAFETY: `InstructionSet::detected` yields these only where the processor has the
             // features that the two functions are compiled for.

@@ -14,7 +14,11 @@ const ITERATIONS: usize = 40;
 const AT_REST: f64 = 1e-6;
 
 /// Accelerations at rest in the given shape, as one vector.
-fn residual(engine: &mut Engine<1>, shape: &DVector<f64>, still: &[[f64; COORDINATES]]) -> DVector<f64> {
+fn residual(
+    engine: &mut Engine<1>,
+    shape: &DVector<f64>,
+    still: &[[f64; COORDINATES]],
+) -> DVector<f64> {
     let coordinates: Vec<[f64; COORDINATES]> =
         (0..still.len()).map(|j| std::array::from_fn(|k| shape[j * COORDINATES + k])).collect();
     engine.set_state(0, &coordinates, still);

@@ -10,7 +10,9 @@ use crate::state::ArmState;
 pub fn frustum_volume(floor_radius: f64, ceiling_radius: f64, height: f64) -> f64 {
     PI / 3.0
         * height
-        * (floor_radius * floor_radius + floor_radius * ceiling_radius + ceiling_radius * ceiling_radius)
+        * (floor_radius * floor_radius
+            + floor_radius * ceiling_radius
+            + ceiling_radius * ceiling_radius)
 }
 
 /// Volume of every compartment \[m³\], from the mean radii of its floor and ceiling.

@@ -145,8 +145,8 @@ impl Range {
 }
 
 impl ArmParameters {
-    /// Largest number of compartments.
-    pub const MAX_COMPARTMENTS: usize = 1000;
+    /// Largest number of compartments; the static equilibrium solves for seven unknowns each.
+    pub const MAX_COMPARTMENTS: usize = 200;
 
     /// Checks every parameter.
     ///
@@ -214,7 +214,10 @@ impl ArmParameters {
             if value < 0.0 {
                 return Err(ParameterError::OutOfRange {
                     name: "drag_coefficients".to_owned(),
-                    value: format!("{:?} (Eq. 14 gives {value} at {angle} degrees)", self.drag_coefficients),
+                    value: format!(
+                        "{:?} (Eq. 14 gives {value} at {angle} degrees)",
+                        self.drag_coefficients
+                    ),
                     range: "a polynomial at or above 0 from 0 to 90 degrees".to_owned(),
                 });
             }
@@ -228,8 +231,8 @@ impl ArmParameters {
     /// [`ParameterError::Format`] for text that is not JSON of the right shape (an unknown field is
     /// named), [`ParameterError::OutOfRange`] as [`ArmParameters::validate`].
     pub fn from_json(text: &str) -> Result<Self, ParameterError> {
-        let parameters: Self =
-            serde_json::from_str(text).map_err(|error| ParameterError::Format(error.to_string()))?;
+        let parameters: Self = serde_json::from_str(text)
+            .map_err(|error| ParameterError::Format(error.to_string()))?;
         parameters.validate()?;
         Ok(parameters)
     }
@@ -239,7 +242,8 @@ impl ArmParameters {
     /// # Errors
     /// [`ParameterError::Format`] if a value has no JSON form (only possible before validation).
     pub fn to_json(&self) -> Result<String, ParameterError> {
-        serde_json::to_string_pretty(self).map_err(|error| ParameterError::Format(error.to_string()))
+        serde_json::to_string_pretty(self)
+            .map_err(|error| ParameterError::Format(error.to_string()))
     }
 
     /// Change of rest radius from one plane to the next \[m\], negative for an arm that tapers.
@@ -299,8 +303,11 @@ mod tests {
             let parameters = ArmParameters { timestep: bad, ..Default::default() };
             assert!(parameters.validate().is_err());
         }
-        let parameters = ArmParameters { drag_coefficients: [0.0, 0.0, 0.0, -1.0, 0.5], ..Default::default() };
-        assert!(parameters.validate().expect_err("thrust").to_string().contains("drag_coefficients"));
+        let parameters =
+            ArmParameters { drag_coefficients: [0.0, 0.0, 0.0, -1.0, 0.5], ..Default::default() };
+        assert!(
+            parameters.validate().expect_err("thrust").to_string().contains("drag_coefficients")
+        );
     }
 
     #[test]
@@ -308,7 +315,8 @@ mod tests {
         let parameters = ArmParameters { arm_density: 1.0 / 3.0 * 4000.0, ..Default::default() };
         let text = parameters.to_json().expect("json");
         assert_eq!(ArmParameters::from_json(&text).expect("parse"), parameters);
-        let message = ArmParameters::from_json(r#"{"stiffness": 3}"#).expect_err("unknown").to_string();
+        let message =
+            ArmParameters::from_json(r#"{"stiffness": 3}"#).expect_err("unknown").to_string();
         assert!(message.contains("stiffness"), "{message}");
     }
 }

@@ -96,10 +96,9 @@ fn lengths_agree_over_a_thousand_steps() {
                 // From where the base is, smoothly into a swing.
                 let start = arm.base_degrees();
                 let command = match actuator {
-                    Actuator::Direct => [
-                        start[0] + 0.12 * (9.0 * t).cos(),
-                        start[1] - 0.10 * (7.0 * t).cos(),
-                    ],
+                    Actuator::Direct => {
+                        [start[0] + 0.12 * (9.0 * t).cos(), start[1] - 0.10 * (7.0 * t).cos()]
+                    }
                     Actuator::Servo => [30.0 * (9.0 * t).sin(), 25.0 * (7.0 * t).cos()],
                 };
                 let motion = arm.base_motion(command);

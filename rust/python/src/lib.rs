@@ -1,1 +1,43 @@
+//! Python's view of the arm and the episode: arrays in, arrays out, errors mapped, GIL released.
 
+mod arm;
+mod arrays;
+mod episode;
+mod errors;
+
+/// The compiled core of `octoarm_env`; use the typed package around it.
+#[pyo3::pymodule]
+mod _core {
+    use octoarm_arm::{ArmParameters, InstructionSet};
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use crate::arm::Arm;
+    #[pymodule_export]
+    use crate::episode::Episode;
+    #[pymodule_export]
+    use crate::errors::DomainError;
+    use crate::errors::invalid;
+
+    /// The default parameters as JSON text.
+    #[pyfunction]
+    fn default_parameters() -> PyResult<String> {
+        ArmParameters::default().to_json().map_err(invalid)
+    }
+
+    /// Parses and validates parameters given as JSON text; returns them complete.
+    #[pyfunction]
+    fn check_parameters(text: &str) -> PyResult<String> {
+        ArmParameters::from_json(text).and_then(|parameters| parameters.to_json()).map_err(invalid)
+    }
+
+    /// The vector instructions in use: "baseline", "avx2" or "avx512".
+    #[pyfunction]
+    fn instruction_set() -> &'static str {
+        match InstructionSet::detected() {
+            InstructionSet::Baseline => "baseline",
+            InstructionSet::Avx2 => "avx2",
+            InstructionSet::Avx512 => "avx512",
+        }
+    }
+}

@@ -24,11 +24,8 @@ pub(crate) struct Joints {
 }
 
 impl Joints {
-    pub(crate) const ZERO: Self = Self {
-        slide: [[0.0; WIDTH]; 4],
-        about_x: [[0.0; WIDTH]; 5],
-        about_y: [[0.0; WIDTH]; 6],
-    };
+    pub(crate) const ZERO: Self =
+        Self { slide: [[0.0; WIDTH]; 4], about_x: [[0.0; WIDTH]; 5], about_y: [[0.0; WIDTH]; 6] };
 }
 
 /// The articulated inertia and bias that a plane receives from all beyond it, one value a lane.
@@ -299,10 +296,7 @@ pub(crate) fn outward<const L: usize>(
             let x = &joint.about_x;
             let turned = (-x[4][k]).mul_add(
                 a_z,
-                (-x[3][k]).mul_add(
-                    a_y,
-                    (-x[2][k]).mul_add(a_x, (-x[1][k]).mul_add(p_z, -x[0][k])),
-                ),
+                (-x[3][k]).mul_add(a_y, (-x[2][k]).mul_add(a_x, (-x[1][k]).mul_add(p_z, -x[0][k]))),
             );
             out[1][k] = turned - p_x;
             let p_x = turned;
@@ -315,10 +309,8 @@ pub(crate) fn outward<const L: usize>(
                 a_z,
                 (-y[4][k]).mul_add(
                     a_y,
-                    (-y[3][k]).mul_add(
-                        a_x,
-                        (-y[2][k]).mul_add(p_z, (-y[1][k]).mul_add(p_x, -y[0][k])),
-                    ),
+                    (-y[3][k])
+                        .mul_add(a_x, (-y[2][k]).mul_add(p_z, (-y[1][k]).mul_add(p_x, -y[0][k]))),
                 ),
             );
             out[2][k] = turned - p_y;

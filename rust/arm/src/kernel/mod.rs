@@ -203,7 +203,9 @@ impl Workspace {
 #[derive(Clone, Debug)]
 pub(crate) struct Body {
     pub(crate) compartments: usize,
-    pub(crate) material: Material,
+    /// On the heap, like all that asks for 64-byte alignment: an [`crate::Arm`] may be embedded in
+    /// memory that a foreign allocator aligned for ordinary numbers only.
+    pub(crate) material: Box<Material>,
     pub(crate) rest: Vec<Rest>,
 }
 

@@ -55,8 +55,12 @@ pub(crate) fn assemble(
         let (ax, ay, az) =
             (motion.acceleration[0][k], motion.acceleration[1][k], motion.acceleration[2][k]);
         let (r1, r2, r3, r4) = (q[3][k], q[4][k], q[5][k], q[6][k]);
-        let (t1, t2, t3, t4) =
-            (top.transverse[0][k], top.transverse[1][k], top.transverse[2][k], top.transverse[3][k]);
+        let (t1, t2, t3, t4) = (
+            top.transverse[0][k],
+            top.transverse[1][k],
+            top.transverse[2][k],
+            top.transverse[3][k],
+        );
 
         // Spring forces on the joints: this compartment's tops and the next one's bottoms.
         let f1x = top.force[0][0][k] + above.0[0][k];

@@ -152,10 +152,14 @@ pub(crate) fn forces(
         let mut ring = [0.0; 4];
         let mut sum = external.force[2][k];
         for i in 0..4 {
-            let along = material.longitudinal_stiffness[k]
-                .mul_add(length[i] - material.rest_length[k], material.longitudinal_damping[k] * stretch_rate[i]);
-            let across = material.transverse_stiffness[k]
-                .mul_add(q[3 + i][k] - rest.radius[k], material.transverse_damping[k] * u[3 + i][k]);
+            let along = material.longitudinal_stiffness[k].mul_add(
+                length[i] - material.rest_length[k],
+                material.longitudinal_damping[k] * stretch_rate[i],
+            );
+            let across = material.transverse_stiffness[k].mul_add(
+                q[3 + i][k] - rest.radius[k],
+                material.transverse_damping[k] * u[3 + i][k],
+            );
             let (xi_c, delta_c) = (muscles.longitudinal[i][k], muscles.transverse[i][k]);
             // Eq. 7.
             let xi_v = -(material.longitudinal_volume_gain[k]

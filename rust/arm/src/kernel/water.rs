@@ -47,7 +47,9 @@ pub(crate) fn external(
     let q = &coordinates.0;
     for k in 0..WIDTH {
         let h = q[0][k];
-        let base = 0.25 * ((floor.radius[0][k] + floor.radius[1][k]) + (floor.radius[2][k] + floor.radius[3][k]));
+        let base = 0.25
+            * ((floor.radius[0][k] + floor.radius[1][k])
+                + (floor.radius[2][k] + floor.radius[3][k]));
         let top = 0.25 * ((q[3][k] + q[4][k]) + (q[5][k] + q[6][k]));
         let squares = base.mul_add(base, top.mul_add(base, top * top));
         let volume = std::f64::consts::FRAC_PI_3 * h * squares;
@@ -69,7 +71,9 @@ pub(crate) fn external(
 
         let pressure = material.pressure_area[k] * (base + top) * h * speed;
         let drag = pressure * polynomial(&material.drag_coefficients, k, incidence);
-        let lift = pressure * material.lift_scale[k] * polynomial(&material.lift_coefficients, k, incidence);
+        let lift = pressure
+            * material.lift_scale[k]
+            * polynomial(&material.lift_coefficients, k, incidence);
 
         // Lift: the part of −v across the strut, made orthogonal to v, has the unit vector
         // (−|v_z| v_⊥/|v_⊥| + |v_⊥| sign(v_z) z) / |v|.

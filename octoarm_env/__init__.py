@@ -1,0 +1,39 @@
+"""The soft robotic octopus arm of Nakajima et al. (2013) as a Gymnasium environment.
+
+Importing this package registers ``OctoArm-v0``::
+
+    import gymnasium as gym
+    import octoarm_env
+
+    env = gym.make("OctoArm-v0", target="quadratic")
+
+The body without an episode around it is :class:`Arm`, its parameters are :class:`ArmParameters`.
+"""
+
+from importlib.metadata import version
+
+from gymnasium.envs.registration import register
+
+from octoarm_env._core import DomainError, instruction_set
+from octoarm_env.arm import Arm, ArmState, Energy
+from octoarm_env.env import OctoArmEnv
+from octoarm_env.parameters import ArmParameters
+from octoarm_env.teacher import TeacherPolicy
+
+__all__ = [
+    "Arm",
+    "ArmParameters",
+    "ArmState",
+    "DomainError",
+    "Energy",
+    "OctoArmEnv",
+    "TeacherPolicy",
+    "instruction_set",
+]
+__version__ = version("octoarm-env")
+
+register(
+    id="OctoArm-v0",
+    entry_point="octoarm_env.env:OctoArmEnv",
+    max_episode_steps=500,
+)

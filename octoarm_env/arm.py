@@ -1,0 +1,223 @@
+"""The body by itself: step it, run it, close the loop around it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from octoarm_env import _core
+from octoarm_env.parameters import ArmParameters
+
+Float = NDArray[np.float64]
+
+
+class Energy(NamedTuple):
+    """Mechanical energy of an arm [J]."""
+
+    kinetic: float
+    elastic: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ArmState:
+    """The complete dynamic state of an arm with N compartments.
+
+    Attributes:
+        coordinates: (N, 7), ``[h, alpha, beta, r1, r2, r3, r4]`` of each compartment [m, rad, rad, m].
+        rates: (N, 7), their time derivatives.
+        base: (4,), ``[theta, phi, theta_dot, phi_dot]`` [rad, rad/s].
+        steps: physics steps since the last reset.
+    """
+
+    coordinates: Float
+    rates: Float
+    base: Float
+    steps: int = 0
+
+    def __eq__(self, other: object) -> bool:
+        """Compare to the bit."""
+        if not isinstance(other, ArmState):
+            return NotImplemented
+        return (
+            self.steps == other.steps
+            and np.array_equal(self.coordinates, other.coordinates)
+            and np.array_equal(self.rates, other.rates)
+            and np.array_equal(self.base, other.base)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Arm:
+    """A soft arm in water, driven by the rotation of its base (Nakajima et al. 2013, section 2.1).
+
+    The arm starts in static equilibrium. Angles are degrees here, lengths metres. The lengths of the
+    4 N longitudinal springs are in the paper's order, ``s_11, s_21, s_31, s_41, s_12, …``: index
+    ``4 (j - 1) + (i - 1)`` for spring i of compartment j.
+
+    Args:
+        parameters: the body; the default is ``ArmParameters()``.
+        actuator: ``"direct"``, the base moves linearly to the commanded angle within the physics
+            step (the paper's position control), or ``"servo"``, through a critically damped
+            second-order follower of natural frequency ``servo_frequency``.
+
+    Raises:
+        ValueError: an unknown actuator, or a body without a static equilibrium.
+
+    Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the domain
+    of the model (a joint bent past 90 degrees, a spring or radius far out of shape); the arm then
+    keeps the state before that step. Pickle and deepcopy are exact.
+    """
+
+    def __init__(
+        self,
+        parameters: ArmParameters | None = None,
+        actuator: Literal["direct", "servo"] = "direct",
+    ) -> None:
+        self._parameters = ArmParameters() if parameters is None else parameters
+        if not isinstance(self._parameters, ArmParameters):
+            kind = type(parameters).__name__
+            raise TypeError(f"parameters must be an ArmParameters, not {kind}")
+        self._actuator: Literal["direct", "servo"] = actuator
+        self._core = _core.Arm(self._parameters.to_json(), actuator)
+
+    @property
+    def parameters(self) -> ArmParameters:
+        """The body's parameters."""
+        return self._parameters
+
+    @property
+    def actuator(self) -> Literal["direct", "servo"]:
+        """How the base follows its command."""
+        return self._actuator
+
+    def reset(self, *, undeformed: bool = False) -> Float:
+        """Put the arm at rest with its base at θ = φ = 0 and without muscle inputs.
+
+        Args:
+            undeformed: every spring at its rest length, instead of static equilibrium.
+
+        Returns:
+            The spring lengths, (4 N,) [m].
+        """
+        self._core.reset(undeformed)
+        return self._core.lengths
+
+    def step(self, theta: float, phi: float) -> Float:
+        """Make one physics step under commanded base angles [degrees].
+
+        Returns:
+            The spring lengths after the step, (4 N,) [m].
+
+        Raises:
+            ValueError: an angle that is not finite or beyond ±3600 degrees.
+            DomainError: see the class.
+        """
+        return self._core.step(theta, phi)
+
+    def run(self, angles: ArrayLike) -> Float:
+        """Follow a sequence of commands, one a physics step.
+
+        Args:
+            angles: (T, 2), θ and φ [degrees].
+
+        Returns:
+            The spring lengths after each step, (T, 4 N) [m].
+
+        Raises:
+            ValueError, TypeError: a wrong shape or dtype, or numbers that are not finite; no step is
+                made then.
+            DomainError: see the class; its ``lengths`` are those of the steps that were made.
+        """
+        return self._core.run(angles)
+
+    def run_closed_loop(
+        self, weights: ArrayLike, steps: int, perturbation: ArrayLike | None = None
+    ) -> tuple[Float, Float]:
+        """Feed a linear readout of the spring lengths back as the base command (Eqs. 24-26).
+
+        Step t commands ``weights.T @ lengths(t) (+ bias) (+ perturbation[t])``, in degrees.
+
+        Args:
+            weights: (4 N, 2), or (4 N + 1, 2) with the bias as the last row.
+            steps: number of physics steps.
+            perturbation: (steps, 2), added to the outputs [degrees].
+
+        Returns:
+            ``(outputs, lengths)``: the readout's outputs before the perturbation, (steps, 2)
+            [degrees], and the spring lengths after each step, (steps, 4 N) [m].
+
+        Raises:
+            ValueError, TypeError: as :meth:`run`.
+            DomainError: see the class; its ``outputs`` and ``lengths`` are those of the steps made.
+        """
+        return self._core.run_closed_loop(weights, steps, perturbation)
+
+    @property
+    def lengths(self) -> Float:
+        """The spring lengths now, (4 N,) [m]."""
+        return self._core.lengths
+
+    @property
+    def state(self) -> ArmState:
+        """The complete state; assigning one restores it exactly, so that later steps have its bits."""
+        return ArmState(*self._core.get_state())
+
+    @state.setter
+    def state(self, state: ArmState) -> None:
+        self._core.set_state(state.coordinates, state.rates, state.base, state.steps)
+
+    @property
+    def muscles(self) -> tuple[Float, Float]:
+        """Muscle inputs (ξ_c, δ_c), each (N, 4) [N], of the longitudinal and transverse springs.
+
+        They are zero after a reset and act until changed (Eqs. 1, 4, 7, 8; positive pushes).
+        """
+        return self._core.get_muscles()
+
+    @muscles.setter
+    def muscles(self, inputs: tuple[ArrayLike, ArrayLike]) -> None:
+        longitudinal, transverse = inputs
+        self._core.set_muscles(longitudinal, transverse)
+
+    def energy(self) -> Energy:
+        """Kinetic energy of all masses in the world frame, and elastic energy of all springs [J]."""
+        return Energy(*self._core.energy())
+
+    @property
+    def positions(self) -> Float:
+        """Centres of the planes in the world frame, base first, (N + 1, 3) [m]."""
+        return self._core.positions
+
+    @property
+    def base_angles(self) -> Float:
+        """Actual base angles θ, φ, (2,) [degrees]."""
+        return self._core.base_angles
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        return self._core.time
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "parameters": self._parameters,
+            "actuator": self._actuator,
+            "state": self._core.get_state(),
+            "muscles": self._core.get_muscles(),
+        }
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        self.__init__(saved["parameters"], saved["actuator"])  # type: ignore[misc]
+        self._core.set_muscles(*saved["muscles"])
+        self._core.set_state(*saved["state"])
+
+    def __repr__(self) -> str:
+        theta, phi = self.base_angles
+        return (
+            f"Arm({self._parameters.compartments} compartments, {self._actuator!r}, "
+            f"t={self.time:.3f} s, base=({theta:.2f}, {phi:.2f})°)"
+        )

@@ -1,0 +1,276 @@
+"""The environment ``OctoArm-v0``."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, ClassVar, Literal, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from octoarm_env import _core
+from octoarm_env.parameters import ArmParameters
+
+Float = NDArray[np.float64]
+TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
+
+
+class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
+    r"""An octopus-like soft arm swings in water; only its base is driven, only its springs are seen.
+
+    ## Description
+    The body is the simulated arm of Nakajima et al. (2013), "A soft body as a reservoir": twenty
+    compartments of springs, masses and dampers in water, driven by rotating the base. The agent turns
+    the base so that its two angles follow a limit cycle. It is not told the time, the target or the
+    base angles: all it has are the lengths of the arm's 80 longitudinal springs, so the phase of the
+    motion must be read from the body. A linear readout of the lengths suffices to hold the cycle.
+
+    ## Action space
+    `Box(-1, 1, (2,), float32)`: the base rotation as a fraction of `action_range`.
+
+    | Num | Action                              | Min | Max | Unit                 |
+    |-----|-------------------------------------|-----|-----|----------------------|
+    | 0   | commanded θ, rotation about x       | -1  | 1   | `action_range` degrees |
+    | 1   | commanded φ, rotation about (new) y | -1  | 1   | `action_range` degrees |
+
+    With `actuator="servo"` the base follows the command through a critically damped second-order
+    servo of natural frequency `arm.servo_frequency`; with `"direct"` it reaches the command at the end of the control period at constant speed.
+
+    ## Observation space
+    `Box(low, high, (80,), float64)`: the lengths of the longitudinal springs in metres, in the paper's
+    order: springs 1-4 of compartment 1 (at the base), springs 1-4 of compartment 2, …
+
+    | Num            | Observation                      | Min   | Max  | Unit |
+    |----------------|----------------------------------|-------|------|------|
+    | 4(j-1) + (i-1) | length of spring i, compartment j | 0.001 | 0.06 | m    |
+
+    The bounds are the limits of the model's domain, 0.05 and 3 times `arm.rest_length`.
+
+    ## Rewards
+    `reward = reward_tracking + reward_action_change`, both in `info`:
+
+    - `reward_tracking = tracking_weight * exp(-(e / (reward_width * amplitude))**2)`, where *e* is the
+      distance in degrees between the base angles and the target at the end of the control period;
+    - `reward_action_change = -action_change_weight * |action - previous action|**2`.
+
+    With the default weights a step is worth at most 1 and at least -0.08; an episode of 500 steps at
+    most 500. The lead-compensated clock (:class:`octoarm_env.TeacherPolicy`) earns over 499.9.
+
+    ## Starting state
+    On the orbit: the base exactly on the target at a random phase, the body swinging along as if it
+    had been forced so for seconds. The phase is drawn from 256 snapshots of such a swing.
+    `reset(options={"phase": p})` takes the snapshot nearest to phase *p* in turns, 0 to 1, instead.
+
+    ## Episode end
+    *Termination*: the arm left the domain of the model; `info["failure"]` says which limit, which
+    compartment, when. The observation is then the last valid one, and `reward_tracking` is 0. This
+    does not happen within the action bounds of the default environment.
+    *Truncation*: after 500 steps (`max_episode_steps` of `gym.make`).
+
+    ## Information
+    | Key                    | Type           | Meaning                                   |
+    |------------------------|----------------|-------------------------------------------|
+    | `base_angles`          | float64 (2,)   | actual θ, φ [degrees]                      |
+    | `target`               | float64 (2,)   | target θ, φ at this instant [degrees]      |
+    | `tracking_error`       | float          | distance between the two [degrees]         |
+    | `reward_tracking`      | float          | see Rewards                                |
+    | `reward_action_change` | float          | see Rewards                                |
+    | `failure`              | str            | only on termination                        |
+
+    ## Arguments
+    | Parameter              | Default       | Description                                             |
+    |------------------------|---------------|---------------------------------------------------------|
+    | `target`               | `"quadratic"` | `"quadratic"`, `"van_der_pol"`, `"lissajous"` (Eqs. 27-29), or an array (T, 2) of one period in degrees, one row a physics step |
+    | `amplitude`            | `None`        | largest \|angle\| of the target in degrees; None: 20, or the array's own |
+    | `control_period`       | `0.01`        | seconds from action to action, a multiple of `arm.timestep` |
+    | `actuator`             | `"servo"`     | `"servo"` or `"direct"`                                  |
+    | `arm`                  | `None`        | the body, an `ArmParameters`                             |
+    | `action_range`         | `None`        | degrees of base rotation at an action of 1; None: 1.2 × amplitude |
+    | `tracking_weight`      | `1.0`         | see Rewards                                              |
+    | `reward_width`         | `0.3`         | see Rewards                                              |
+    | `action_change_weight` | `0.01`        | see Rewards                                              |
+    | `render_mode`          | `None`        | no render modes yet                                      |
+
+    Wrong arguments raise a ValueError or TypeError that names the argument, its value and its range.
+    So does an action that is not two finite numbers in [-1, 1]; the episode is then unchanged
+    (use `gymnasium.wrappers.ClipAction` for a policy that overshoots). The same seed gives the same
+    bits, on every machine. pickle and deepcopy continue an episode exactly where it stands.
+
+    ## Version history
+    * v0: initial version.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 100}
+
+    def __init__(
+        self,
+        target: TargetName | ArrayLike = "quadratic",
+        amplitude: float | None = None,
+        control_period: float = 0.01,
+        actuator: Literal["servo", "direct"] = "servo",
+        arm: ArmParameters | None = None,
+        action_range: float | None = None,
+        tracking_weight: float = 1.0,
+        reward_width: float = 0.3,
+        action_change_weight: float = 0.01,
+        render_mode: None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode = {render_mode!r}: only None is supported")
+        config = {
+            "target": _target(target),
+            "amplitude": _number("amplitude", amplitude, optional=True),
+            "control_period": _number("control_period", control_period),
+            "actuator": _actuator(actuator),
+            "arm": _parameters(arm).to_dict(),
+            "action_range": _number("action_range", action_range, optional=True),
+            "tracking_weight": _number("tracking_weight", tracking_weight),
+            "reward_width": _number("reward_width", reward_width),
+            "action_change_weight": _number("action_change_weight", action_change_weight),
+        }
+        self.render_mode = render_mode
+        self._setup(json.dumps(config))
+
+    def _setup(self, config: str) -> None:
+        self._core = _core.Episode(config)
+        self._seeded = False
+        low, high = self._core.observation_bounds
+        count = self._core.observation_len
+        self.observation_space = spaces.Box(low, high, (count,), np.float64)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float, dict[str, Any]]:
+        """Begin an episode on the orbit.
+
+        Args:
+            seed: starts the generator of phases anew.
+            options: ``{"phase": p}`` begins at phase p of the target, in turns from 0 to 1.
+
+        Returns:
+            The spring lengths, (80,) [m], and the info.
+
+        Raises:
+            ValueError: a phase outside [0, 1], or an unknown option.
+        """
+        phase = _phase(options)
+        super().reset(seed=seed)
+        if seed is not None:
+            self._core.seed(seed)
+        elif not self._seeded:
+            self._core.seed(int(self.np_random.integers(2**63)))
+        self._seeded = True
+        return self._core.reset(phase)
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Float, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Turn the base for one control period.
+
+        Args:
+            action: (2,), each entry in [-1, 1].
+
+        Returns:
+            Observation (80,) [m], reward, terminated, truncated (always False here), info.
+
+        Raises:
+            ValueError, TypeError: an action that is not two finite numbers in [-1, 1], or a step
+                before `reset` or after the end of the episode; nothing is changed then.
+        """
+        observation, reward, terminated, info = self._core.step(action)
+        return observation, reward, terminated, False, info
+
+    def teacher_action(self) -> Float:
+        """Give the lead-compensated clock's action now, (2,); it depends on the time alone."""
+        return self._core.teacher_action()
+
+    @property
+    def action_range(self) -> float:
+        """Degrees of base rotation at an action of 1."""
+        return self._core.action_range
+
+    @property
+    def amplitude(self) -> float:
+        """Largest |angle| of the target [degrees]."""
+        return self._core.amplitude
+
+    @property
+    def period(self) -> float:
+        """Time of one turn of the target [s]."""
+        return self._core.period
+
+    @property
+    def orbit(self) -> Float:
+        """The target over one period at equal intervals, (K, 2) [degrees]."""
+        return self._core.orbit
+
+    @property
+    def arm_positions(self) -> Float:
+        """Centres of the arm's planes in the world frame, base first, (N + 1, 3) [m]."""
+        return self._core.positions
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        core = state.pop("_core")
+        state["_saved"] = (core.config, core.save())
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        config, episode = state.pop("_saved")
+        self.__dict__.update(state)
+        self._core = _core.Episode(config)
+        self._core.load(episode)
+
+
+def _number(name: str, value: Any, *, optional: bool = False) -> float | None:
+    if value is None and optional:
+        return None
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise TypeError(f"{name} = {value!r}: expected a number")
+    number = float(value)
+    if not np.isfinite(number):
+        raise ValueError(f"{name} = {number}: expected a finite number")
+    return number
+
+
+def _actuator(value: Any) -> str:
+    if value not in ("servo", "direct"):
+        raise ValueError(f"actuator = {value!r}: expected 'servo' or 'direct'")
+    return str(value)
+
+
+def _parameters(value: Any) -> ArmParameters:
+    if value is None:
+        return ArmParameters()
+    if not isinstance(value, ArmParameters):
+        raise TypeError(f"arm must be an ArmParameters, not {type(value).__name__}")
+    return value
+
+
+def _target(value: Any) -> str | list[list[float]]:
+    names = ("quadratic", "van_der_pol", "lissajous")
+    if isinstance(value, str):
+        if value not in names:
+            raise ValueError(f"target = {value!r}: expected one of {names} or an array (T, 2)")
+        return value
+    samples = np.asarray(value)
+    if samples.dtype.kind not in "fiu":
+        raise TypeError(f"target must be a name or an array of numbers, not dtype {samples.dtype}")
+    if samples.ndim != 2 or samples.shape[1] != 2:
+        raise ValueError(f"target has shape {samples.shape}, expected (T, 2)")
+    if not np.isfinite(samples).all():
+        raise ValueError("target holds numbers that are not finite")
+    rows: list[list[float]] = samples.astype(np.float64).tolist()
+    return rows
+
+
+def _phase(options: dict[str, Any] | None) -> float | None:
+    if not options:
+        return None
+    unknown = sorted(set(options) - {"phase"})
+    if unknown:
+        raise ValueError(f"unknown reset options {unknown}; known is 'phase'")
+    return _number("options['phase']", options["phase"])

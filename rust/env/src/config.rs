@@ -1,0 +1,221 @@
+//! The settings of an episode, under the names that Python and files use.
+
+use octoarm_arm::{Actuator, ArmParameters, ParameterError};
+use serde::{Deserialize, Serialize};
+
+use crate::orbit::Orbit;
+use crate::reward::Reward;
+
+/// The limit cycles of the paper, section 2.2.2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TargetName {
+    /// Eq. 28.
+    Quadratic,
+    /// Eq. 27.
+    VanDerPol,
+    /// Eq. 29 with f1 = 2, f2 = 1.
+    Lissajous,
+}
+
+/// What the base shall follow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Target {
+    /// One of the paper's limit cycles.
+    Named(TargetName),
+    /// One period of (θ, φ) in degrees, one row a physics step.
+    Samples(Vec<[f64; 2]>),
+}
+
+/// Everything that `gym.make("OctoArm-v0", …)` takes, beside rendering and length.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EpisodeConfig {
+    /// The limit cycle to follow.
+    pub target: Target,
+    /// Largest |angle| of the target \[degrees\]. Without one, 20 for a named target and the
+    /// samples' own for samples; with one, samples are scaled to it.
+    pub amplitude: Option<f64>,
+    /// Time from one action to the next \[s\], a multiple of the arm's `timestep`.
+    pub control_period: f64,
+    /// What drives the base.
+    pub actuator: Actuator,
+    /// The body.
+    pub arm: ArmParameters,
+    /// Base angle of an action of 1 \[degrees\]; without one, 1.2 times the amplitude.
+    pub action_range: Option<f64>,
+    /// Reward of an exactly tracked step.
+    pub tracking_weight: f64,
+    /// Tracking error at which the tracking reward has fallen to 1/e, as a fraction of the amplitude.
+    pub reward_width: f64,
+    /// Cost of a unit of squared action change.
+    pub action_change_weight: f64,
+}
+
+impl Default for EpisodeConfig {
+    fn default() -> Self {
+        Self {
+            target: Target::Named(TargetName::Quadratic),
+            amplitude: None,
+            control_period: 0.01,
+            actuator: Actuator::Servo,
+            arm: ArmParameters::default(),
+            action_range: None,
+            tracking_weight: 1.0,
+            reward_width: 0.3,
+            action_change_weight: 0.01,
+        }
+    }
+}
+
+/// At 20 degrees whatever an agent does within the action bounds keeps the arm in its domain; at 30,
+/// bang-bang actions near the arm's resonances (2.5 and 5 Hz) bend a joint past 90 degrees.
+const DEFAULT_AMPLITUDE: f64 = 20.0;
+/// The lead-compensated clock commands at most 1.08 times the amplitude of the three targets.
+const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.2;
+/// Bounds of `amplitude` and `action_range` \[degrees\].
+const ANGLE_LIMIT: f64 = 360.0;
+const MAX_CONTROL_STEPS: f64 = 10_000.0;
+
+fn check(
+    name: &str,
+    value: f64,
+    low: f64,
+    low_excluded: bool,
+    high: f64,
+) -> Result<(), ParameterError> {
+    // Written so that a NaN fails too.
+    let inside = (if low_excluded { value > low } else { value >= low }) && value <= high;
+    if inside {
+        return Ok(());
+    }
+    let bracket = if low_excluded { '(' } else { '[' };
+    Err(ParameterError::OutOfRange {
+        name: name.to_owned(),
+        value: value.to_string(),
+        range: format!("{bracket}{low}, {high}]"),
+    })
+}
+
+impl EpisodeConfig {
+    /// Settings from JSON text; what is left out takes its default.
+    ///
+    /// # Errors
+    /// [`ParameterError`] that names the setting, its value and its range.
+    pub fn from_json(text: &str) -> Result<Self, ParameterError> {
+        let config: Self = serde_json::from_str(text)
+            .map_err(|error| ParameterError::Format(error.to_string()))?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The settings as JSON text, exact to the bit.
+    ///
+    /// # Errors
+    /// [`ParameterError::Format`] if a value has no JSON form (only possible before validation).
+    pub fn to_json(&self) -> Result<String, ParameterError> {
+        serde_json::to_string(self).map_err(|error| ParameterError::Format(error.to_string()))
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// As [`EpisodeConfig::from_json`].
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        self.arm.validate()?;
+        if let Some(amplitude) = self.amplitude {
+            check("amplitude", amplitude, 0.0, true, ANGLE_LIMIT)?;
+        }
+        if let Some(range) = self.action_range {
+            check("action_range", range, 0.0, true, ANGLE_LIMIT)?;
+        }
+        check("tracking_weight", self.tracking_weight, 0.0, true, 1e6)?;
+        check("reward_width", self.reward_width, 0.0, true, 1e3)?;
+        check("action_change_weight", self.action_change_weight, 0.0, false, 1e6)?;
+        check("control_period", self.control_period, 0.0, true, 10.0)?;
+        let steps = self.control_period / self.arm.timestep;
+        let whole = steps.round();
+        if !(1.0..=MAX_CONTROL_STEPS).contains(&whole) || (steps - whole).abs() > 1e-6 * whole {
+            return Err(ParameterError::OutOfRange {
+                name: "control_period".to_owned(),
+                value: self.control_period.to_string(),
+                range: format!(
+                    "of whole multiples of arm.timestep ({} s), 1 to {MAX_CONTROL_STEPS} of them",
+                    self.arm.timestep
+                ),
+            });
+        }
+        if let Target::Samples(samples) = &self.target {
+            Orbit::check_samples(samples, ANGLE_LIMIT)?;
+        }
+        Ok(())
+    }
+
+    /// Physics steps from one action to the next.
+    #[must_use]
+    pub fn physics_steps(&self) -> u32 {
+        (self.control_period / self.arm.timestep).round() as u32
+    }
+
+    /// The closed orbit to follow.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for samples that are no orbit.
+    pub fn orbit(&self) -> Result<Orbit, ParameterError> {
+        match &self.target {
+            Target::Named(name) => {
+                Ok(Orbit::named(*name, self.amplitude.unwrap_or(DEFAULT_AMPLITUDE)))
+            }
+            Target::Samples(samples) => {
+                Orbit::from_samples(samples, self.arm.timestep, self.amplitude)
+            }
+        }
+    }
+
+    /// Base angle of an action of 1 \[degrees\], for an orbit of the given amplitude.
+    #[must_use]
+    pub fn resolved_action_range(&self, amplitude: f64) -> f64 {
+        self.action_range.unwrap_or(ACTION_RANGE_PER_AMPLITUDE * amplitude)
+    }
+
+    /// The reward for an orbit of the given amplitude.
+    #[must_use]
+    pub fn reward(&self, amplitude: f64) -> Reward {
+        Reward {
+            tracking_weight: self.tracking_weight,
+            width: self.reward_width * amplitude,
+            action_change_weight: self.action_change_weight,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_settings_are_named() {
+        let bad = [
+            (r#"{"amplitude": -3.0}"#, "amplitude = -3"),
+            (r#"{"control_period": 0.0105}"#, "control_period = 0.0105"),
+            (r#"{"control_period": 0.0}"#, "control_period = 0"),
+            (r#"{"reward_width": 0.0}"#, "reward_width"),
+            (r#"{"target": [[0.0, 1.0]]}"#, "target"),
+            (r#"{"target": "square"}"#, "Target"),
+            (r#"{"arm": {"timestep": -1.0}}"#, "timestep = -1"),
+            (r#"{"colour": 1}"#, "colour"),
+        ];
+        for (text, expected) in bad {
+            let message = EpisodeConfig::from_json(text).expect_err(text).to_string();
+            assert!(message.contains(expected), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn json_round_trip_is_exact() {
+        let config = EpisodeConfig { amplitude: Some(1.0 / 3.0), ..EpisodeConfig::default() };
+        let text = config.to_json().expect("json");
+        assert_eq!(EpisodeConfig::from_json(&text).expect("parse"), config);
+    }
+}

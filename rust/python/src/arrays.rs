@@ -1,0 +1,92 @@
+//! Arrays from Python: dtype, shape and finiteness checked by name, copied once.
+
+use numpy::{
+    PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Any array of real numbers as a float64 array; other things are a `TypeError` naming `name`.
+fn as_float64<'py>(
+    name: &str,
+    value: &Bound<'py, PyAny>,
+) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
+    if let Ok(array) = value.cast::<PyArrayDyn<f64>>() {
+        return Ok(array.readonly());
+    }
+    let numpy = value.py().import("numpy")?;
+    let refuse = |what: String| {
+        PyTypeError::new_err(format!("{name} must be an array of real numbers, not {what}"))
+    };
+    let Ok(array) = numpy.call_method1("asarray", (value,)) else {
+        return Err(refuse(value.get_type().name()?.to_string()));
+    };
+    let dtype = array.cast::<PyUntypedArray>()?.dtype();
+    let kind: String = dtype.getattr("kind")?.extract()?;
+    if !matches!(kind.as_str(), "f" | "i" | "u") {
+        return Err(refuse(format!("dtype {dtype}")));
+    }
+    let arguments = PyDict::new(value.py());
+    arguments.set_item("dtype", "float64")?;
+    let array = numpy.call_method("asarray", (array,), Some(&arguments))?;
+    Ok(array.cast::<PyArrayDyn<f64>>()?.readonly())
+}
+
+fn shape_text(shape: &[usize]) -> String {
+    let entries: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    match entries.as_slice() {
+        [one] => format!("({one},)"),
+        many => format!("({})", many.join(", ")),
+    }
+}
+
+/// The numbers of an array in row-major order, and its shape, after checking that it fits
+/// `expected` (None stands for any size) and that every number is finite.
+pub(crate) fn numbers(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    expected: &[Option<usize>],
+) -> PyResult<(Vec<f64>, Vec<usize>)> {
+    let array = as_float64(name, value)?;
+    let shape = array.shape().to_vec();
+    let fits = shape.len() == expected.len()
+        && shape
+            .iter()
+            .zip(expected)
+            .all(|(size, wanted)| wanted.is_none_or(|wanted| wanted == *size));
+    if !fits {
+        let wanted: Vec<String> = expected
+            .iter()
+            .map(|size| size.map_or("any".to_owned(), |size| size.to_string()))
+            .collect();
+        return Err(PyValueError::new_err(format!(
+            "{name} has shape {}, expected ({}{})",
+            shape_text(&shape),
+            wanted.join(", "),
+            if wanted.len() == 1 { "," } else { "" }
+        )));
+    }
+    let numbers: Vec<f64> = array.as_array().iter().copied().collect();
+    if let Some(position) = numbers.iter().position(|number| !number.is_finite()) {
+        let mut rest = position;
+        let mut index = vec![0; shape.len()];
+        for (axis, size) in shape.iter().enumerate().rev() {
+            index[axis] = rest % size;
+            rest /= size;
+        }
+        let entries: Vec<String> = index.iter().map(ToString::to_string).collect();
+        return Err(PyValueError::new_err(format!(
+            "{name}[{}] = {}: all numbers must be finite",
+            entries.join(", "),
+            numbers[position]
+        )));
+    }
+    Ok((numbers, shape))
+}
+
+/// Rows of a (T, 2) array.
+pub(crate) fn pairs(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 2]>> {
+    let (flat, _) = numbers(name, value, &[None, Some(2)])?;
+    Ok(flat.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect())
+}

@@ -1,0 +1,155 @@
+//! `_core.Episode`.
+
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArrayMethods};
+use octoarm_arm::ParameterError;
+use octoarm_env::{EpisodeConfig, Outcome};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::numbers;
+use crate::errors::invalid;
+
+/// One environment's episode; `octoarm_env.OctoArmEnv` documents it.
+#[pyclass(module = "octoarm_env._core")]
+pub(crate) struct Episode {
+    inner: octoarm_env::Episode,
+}
+
+/// An action as two numbers: without a copy of the array for float32 and float64 vectors.
+fn action(value: &Bound<'_, PyAny>) -> PyResult<[f64; 2]> {
+    if let Ok(array) = value.cast::<PyArray1<f32>>()
+        && array.len() == 2
+    {
+        let array = array.readonly();
+        let view = array.as_array();
+        return Ok([f64::from(view[0]), f64::from(view[1])]);
+    }
+    if let Ok(array) = value.cast::<PyArray1<f64>>()
+        && array.len() == 2
+    {
+        let array = array.readonly();
+        let view = array.as_array();
+        return Ok([view[0], view[1]]);
+    }
+    let (numbers, _) = numbers("action", value, &[Some(2)])?;
+    Ok([numbers[0], numbers[1]])
+}
+
+impl Episode {
+    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.inner.arm().lengths().into_pyarray(py)
+    }
+}
+
+fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+    let info = PyDict::new(py);
+    info.set_item(pyo3::intern!(py, "base_angles"), PyArray1::from_slice(py, &outcome.base))?;
+    info.set_item(pyo3::intern!(py, "target"), PyArray1::from_slice(py, &outcome.target))?;
+    info.set_item(pyo3::intern!(py, "tracking_error"), outcome.tracking_error)?;
+    info.set_item(pyo3::intern!(py, "reward_tracking"), outcome.terms.tracking)?;
+    info.set_item(pyo3::intern!(py, "reward_action_change"), outcome.terms.action_change)?;
+    if let Some(failure) = &outcome.failure {
+        info.set_item(pyo3::intern!(py, "failure"), failure.to_string())?;
+    }
+    Ok(info)
+}
+
+#[pymethods]
+impl Episode {
+    #[new]
+    fn new(py: Python<'_>, config: &str) -> PyResult<Self> {
+        let config = EpisodeConfig::from_json(config).map_err(invalid)?;
+        let inner = py.detach(|| octoarm_env::Episode::new(config)).map_err(invalid)?;
+        Ok(Self { inner })
+    }
+
+    fn seed(&mut self, seed: u64) {
+        self.inner.seed(seed);
+    }
+
+    #[pyo3(signature = (phase=None))]
+    fn reset<'py>(
+        &mut self,
+        py: Python<'py>,
+        phase: Option<f64>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
+        let outcome = match phase {
+            None => self.inner.reset(),
+            Some(phase) => self.inner.reset_to_phase(phase).map_err(invalid)?,
+        };
+        Ok((self.observation(py), info(py, &outcome)?))
+    }
+
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        action: &Bound<'py, PyAny>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, f64, bool, Bound<'py, PyDict>)> {
+        let action = self::action(action)?;
+        let outcome = py.detach(|| self.inner.step(action)).map_err(invalid)?;
+        Ok((
+            self.observation(py),
+            outcome.terms.total(),
+            outcome.failure.is_some(),
+            info(py, &outcome)?,
+        ))
+    }
+
+    fn teacher_action<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, &self.inner.teacher_action())
+    }
+
+    fn save(&self) -> PyResult<String> {
+        serde_json::to_string(&self.inner.state())
+            .map_err(|error| invalid(ParameterError::Format(error.to_string())))
+    }
+
+    fn load(&mut self, state: &str) -> PyResult<()> {
+        let state = serde_json::from_str(state)
+            .map_err(|error| invalid(ParameterError::Format(error.to_string())))?;
+        self.inner.set_state(&state).map_err(invalid)
+    }
+
+    #[getter]
+    fn config(&self) -> PyResult<String> {
+        self.inner.config().to_json().map_err(invalid)
+    }
+
+    #[getter]
+    fn action_range(&self) -> f64 {
+        self.inner.action_range()
+    }
+
+    #[getter]
+    fn observation_len(&self) -> usize {
+        self.inner.arm().observation_len()
+    }
+
+    #[getter]
+    fn observation_bounds(&self) -> (f64, f64) {
+        self.inner.observation_bounds()
+    }
+
+    #[getter]
+    fn amplitude(&self) -> f64 {
+        self.inner.swing().orbit.amplitude()
+    }
+
+    #[getter]
+    fn period(&self) -> f64 {
+        self.inner.swing().orbit.period()
+    }
+
+    #[getter]
+    fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let table = self.inner.swing().orbit.table();
+        PyArray1::from_slice(py, table.as_flattened()).reshape([table.len(), 2])
+    }
+
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let positions = self.inner.arm().positions().into_flattened();
+        let rows = positions.len() / 3;
+        positions.into_pyarray(py).reshape([rows, 3])
+    }
+}
