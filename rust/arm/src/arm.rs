@@ -106,11 +106,17 @@ impl Arm {
     pub fn reset(&mut self) -> Result<(), ParameterError> {
         let state = match &self.equilibrium {
             Some(state) => Arc::clone(state),
-            None => Arc::new(static_equilibrium(&self.parameters)?),
+            None => Arc::new(static_equilibrium(&self.parameters, self.instructions)?),
         };
-        self.equilibrium = Some(Arc::clone(&state));
+        let before = (self.state(), self.engine.muscles.clone());
         self.clear_muscles();
         self.restore(&state);
+        if let Some(failure) = self.present_failure() {
+            self.restore(&before.0);
+            self.engine.muscles = before.1;
+            return Err(ParameterError::NoEquilibrium { reason: failure.to_string() });
+        }
+        self.equilibrium = Some(state);
         Ok(())
     }
 
@@ -156,12 +162,7 @@ impl Arm {
         state.validate(self.parameters.compartments)?;
         let before = self.state();
         self.restore(state);
-        let failure = self.find_failure(
-            |j, index| self.engine.coordinate(0, j, index),
-            |j, index| self.engine.rate(0, j, index),
-            |j, i| self.engine.length(0, j, i),
-        );
-        if let Some(failure) = failure {
+        if let Some(failure) = self.present_failure() {
             self.restore(&before);
             return Err(ParameterError::OutOfRange {
                 name: format!(
@@ -280,7 +281,7 @@ impl Arm {
     /// Accelerations of all coordinates in the present state under a given motion of the base.
     #[must_use]
     pub fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {
-        self.engine.accelerations(0, &[*base])
+        self.engine.accelerations(self.instructions, base)
     }
 
     /// The base's motion over the next step under a command in degrees: start, middle and end.
@@ -305,7 +306,7 @@ impl Arm {
         }
         let [_, _, end] = motion;
         self.base = [end.angle[0], end.angle[1], end.rate[0], end.rate[1]];
-        self.steps += 1;
+        self.steps = self.steps.saturating_add(1);
         Ok(())
     }
 
@@ -314,12 +315,16 @@ impl Arm {
     /// # Errors
     /// The number of steps that were made, and the [`DomainError`] of the one that was not; `out`
     /// holds the lengths of those that were.
+    ///
+    /// # Panics
+    /// If `out` does not hold [`Arm::observation_len`] numbers a command.
     pub fn run(
         &mut self,
         commands: &[[f64; 2]],
         out: &mut [f64],
     ) -> Result<(), (usize, DomainError)> {
         let width = self.observation_len();
+        assert_eq!(out.len(), commands.len() * width, "room for the lengths of every step");
         for (step, (command, row)) in commands.iter().zip(out.chunks_exact_mut(width)).enumerate() {
             self.step(*command).map_err(|failure| (step, failure))?;
             self.lengths_into(row);
@@ -335,6 +340,10 @@ impl Arm {
     ///
     /// # Errors
     /// As [`Arm::run`].
+    ///
+    /// # Panics
+    /// If `lengths`, `perturbation` or the readout's weights do not fit the number of outputs and of
+    /// springs.
     pub fn run_closed_loop(
         &mut self,
         readout: &LinearReadout,
@@ -343,6 +352,9 @@ impl Arm {
         lengths: &mut [f64],
     ) -> Result<(), (usize, DomainError)> {
         let width = self.observation_len();
+        assert_eq!(lengths.len(), outputs.len() * width, "room for the lengths of every step");
+        assert_eq!(readout.weights.len(), width, "a weight for every spring");
+        assert!(perturbation.is_none_or(|rows| rows.len() == outputs.len()), "one row a step");
         let mut now = self.lengths();
         for (step, (output, row)) in
             outputs.iter_mut().zip(lengths.chunks_exact_mut(width)).enumerate()
@@ -355,6 +367,14 @@ impl Arm {
             now.copy_from_slice(row);
         }
         Ok(())
+    }
+
+    fn present_failure(&self) -> Option<DomainError> {
+        self.find_failure(
+            |j, index| self.engine.coordinate(0, j, index),
+            |j, index| self.engine.rate(0, j, index),
+            |j, i| self.engine.length(0, j, i),
+        )
     }
 
     fn refusal(&self) -> Option<DomainError> {
@@ -371,7 +391,7 @@ impl Arm {
         rate: impl Fn(usize, usize) -> f64,
         length: impl Fn(usize, usize) -> f64,
     ) -> Option<DomainError> {
-        let time = (self.steps + 1) as f64 * self.parameters.timestep;
+        let time = (self.steps as f64 + 1.0) * self.parameters.timestep;
         find_failure(&self.parameters, coordinate, rate, length, time)
     }
 }

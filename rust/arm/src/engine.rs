@@ -242,12 +242,9 @@ impl<const L: usize> Engine<L> {
         frame
     }
 
-    /// Accelerations of the present state, in the order of the state's entries.
-    pub(crate) fn accelerations(
-        &mut self,
-        lane: usize,
-        motions: &[BaseMotion; L],
-    ) -> Vec<[f64; COORDINATES]> {
+    /// Evaluates the present state's accelerations into the workspace.
+    #[inline(always)]
+    fn evaluate_inline(&mut self, motions: &[BaseMotion; L]) {
         let frame = self.base_frame(motions);
         evaluate::<L>(
             &self.body,
@@ -257,14 +254,6 @@ impl<const L: usize> Engine<L> {
             &self.muscles,
             &mut self.workspace,
         );
-        (0..self.body.compartments)
-            .map(|j| {
-                let (chunk, slot) = place::<L>(j);
-                std::array::from_fn(|index| {
-                    self.workspace.accelerations[chunk].0[index][slot + lane]
-                })
-            })
-            .collect()
     }
 
     /// One Runge–Kutta step; `motions` is the base at its start, middle and end. Returns whether the
@@ -339,35 +328,65 @@ impl<const L: usize> Engine<L> {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f,avx512dq,avx512vl,avx512bw")]
-fn advance_avx512(engine: &mut Engine<1>, motions: &[[BaseMotion; 1]; 3]) -> bool {
-    engine.advance_inline(motions)
+/// The functions of this module that run in the instruction set of the caller's choice.
+macro_rules! dispatched {
+    ($($(#[$documentation:meta])* $name:ident => $inline:ident($motions:ty) -> $result:ty;)*) => {
+        $(
+            impl Engine<1> {
+                $(#[$documentation])*
+                #[allow(unsafe_code)]
+                pub(crate) fn $name(
+                    &mut self,
+                    instructions: InstructionSet,
+                    motions: &$motions,
+                ) -> $result {
+                    #[cfg(target_arch = "x86_64")]
+                    #[target_feature(enable = "avx2,fma,avx512f,avx512dq,avx512vl,avx512bw")]
+                    fn avx512(engine: &mut Engine<1>, motions: &$motions) -> $result {
+                        engine.$inline(motions)
+                    }
+                    #[cfg(target_arch = "x86_64")]
+                    #[target_feature(enable = "avx2,fma")]
+                    fn avx2(engine: &mut Engine<1>, motions: &$motions) -> $result {
+                        engine.$inline(motions)
+                    }
+                    match instructions {
+                        // SAFETY: `InstructionSet` yields these only where the processor has the
+                        // features that the two functions are compiled for.
+                        #[cfg(target_arch = "x86_64")]
+                        InstructionSet::Avx512 => unsafe { avx512(self, motions) },
+                        // SAFETY: as above.
+                        #[cfg(target_arch = "x86_64")]
+                        InstructionSet::Avx2 => unsafe { avx2(self, motions) },
+                        _ => self.$inline(motions),
+                    }
+                }
+            }
+        )*
+    };
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn advance_avx2(engine: &mut Engine<1>, motions: &[[BaseMotion; 1]; 3]) -> bool {
-    engine.advance_inline(motions)
+dispatched! {
+    /// One Runge–Kutta step; `motions` is the base at its start, middle and end. Returns whether the
+    /// new state lies in the domain; if not, the state is as it was before.
+    advance => advance_inline([[BaseMotion; 1]; 3]) -> bool;
+    /// Evaluates the present state's accelerations into the workspace.
+    evaluate => evaluate_inline([BaseMotion; 1]) -> ();
 }
 
 impl Engine<1> {
-    /// [`Engine::advance_inline`], compiled for `instructions`.
-    #[allow(unsafe_code)]
-    pub(crate) fn advance(
+    /// Accelerations of the present state, in the order of the state's entries.
+    pub(crate) fn accelerations(
         &mut self,
         instructions: InstructionSet,
-        motions: &[[BaseMotion; 1]; 3],
-    ) -> bool {
-        match instructions {
-            // SAFETY: `InstructionSet::detected` yields these only where the processor has the
-            // features that the two functions are compiled for.
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { advance_avx512(self, motions) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { advance_avx2(self, motions) },
-            _ => self.advance_inline(motions),
-        }
+        motion: &BaseMotion,
+    ) -> Vec<[f64; COORDINATES]> {
+        self.evaluate(instructions, &[*motion]);
+        (0..self.body.compartments)
+            .map(|j| {
+                let (chunk, slot) = place::<1>(j);
+                std::array::from_fn(|index| self.workspace.accelerations[chunk].0[index][slot])
+            })
+            .collect()
     }
 }

@@ -3,46 +3,53 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::BaseMotion;
-use crate::engine::Engine;
+use crate::engine::{Engine, InstructionSet};
 use crate::error::ParameterError;
 use crate::parameters::ArmParameters;
 use crate::state::{ArmState, COORDINATES};
 
 /// Newton steps for one gravity load.
 const ITERATIONS: usize = 40;
-/// Largest acceleration that counts as rest before the last polish \[m/s², rad/s²\].
+/// Largest acceleration that counts as rest \[m/s², rad/s²\].
 const AT_REST: f64 = 1e-6;
+/// Largest acceleration at which the search ends: rounding of the forces on a joint.
+const EXACT: f64 = 1e-11;
 
 /// Accelerations at rest in the given shape, as one vector.
 fn residual(
     engine: &mut Engine<1>,
+    instructions: InstructionSet,
     shape: &DVector<f64>,
     still: &[[f64; COORDINATES]],
 ) -> DVector<f64> {
     let coordinates: Vec<[f64; COORDINATES]> =
         (0..still.len()).map(|j| std::array::from_fn(|k| shape[j * COORDINATES + k])).collect();
     engine.set_state(0, &coordinates, still);
-    let accelerations = engine.accelerations(0, &[BaseMotion::default()]);
+    let accelerations = engine.accelerations(instructions, &BaseMotion::default());
     DVector::from_iterator(shape.len(), accelerations.into_iter().flatten())
 }
 
 fn solve(
     engine: &mut Engine<1>,
+    instructions: InstructionSet,
     mut shape: DVector<f64>,
     still: &[[f64; COORDINATES]],
 ) -> (DVector<f64>, f64) {
     let size = shape.len();
-    let mut left = residual(engine, &shape, still);
+    let mut left = residual(engine, instructions, &shape, still);
     for _ in 0..ITERATIONS {
         let before = left.amax();
+        if before <= EXACT {
+            break;
+        }
         let mut jacobian = DMatrix::zeros(size, size);
         for column in 0..size {
             let width = 1e-7;
             let mut moved = shape.clone();
             moved[column] += width;
-            let plus = residual(engine, &moved, still);
+            let plus = residual(engine, instructions, &moved, still);
             moved[column] -= 2.0 * width;
-            let minus = residual(engine, &moved, still);
+            let minus = residual(engine, instructions, &moved, still);
             jacobian.set_column(column, &((plus - minus) / (2.0 * width)));
         }
         let Some(step) = jacobian.lu().solve(&left) else { break };
@@ -51,7 +58,7 @@ fn solve(
         let mut improved = false;
         while fraction > 1e-4 {
             let trial = &shape - &step * fraction;
-            let trial_left = residual(engine, &trial, still);
+            let trial_left = residual(engine, instructions, &trial, still);
             if trial_left.amax() < before {
                 shape = trial;
                 left = trial_left;
@@ -72,8 +79,12 @@ fn solve(
 /// growing shares of gravity if the full load does not converge from the undeformed shape.
 ///
 /// # Errors
-/// [`ParameterError::NoEquilibrium`] if no shape at rest is found.
-pub(crate) fn static_equilibrium(parameters: &ArmParameters) -> Result<ArmState, ParameterError> {
+/// [`ParameterError::NoEquilibrium`] if no shape at rest is found; one that is may lie outside the
+/// domain, and need not be stable.
+pub(crate) fn static_equilibrium(
+    parameters: &ArmParameters,
+    instructions: InstructionSet,
+) -> Result<ArmState, ParameterError> {
     let undeformed = ArmState::undeformed(parameters);
     let start = DVector::from_iterator(
         undeformed.coordinates.len() * COORDINATES,
@@ -88,7 +99,8 @@ pub(crate) fn static_equilibrium(parameters: &ArmParameters) -> Result<ArmState,
                 gravity: parameters.gravity.map(|g| g * fraction),
                 ..parameters.clone()
             };
-            (shape, worst) = solve(&mut Engine::<1>::new(&loaded), shape, &undeformed.rates);
+            (shape, worst) =
+                solve(&mut Engine::new(&loaded), instructions, shape, &undeformed.rates);
             if worst > AT_REST || worst.is_nan() {
                 break;
             }
@@ -101,9 +113,6 @@ pub(crate) fn static_equilibrium(parameters: &ArmParameters) -> Result<ArmState,
         }
     }
     Err(ParameterError::NoEquilibrium {
-        residual: worst,
-        advice: "lower gravity or arm_density, or raise longitudinal_stiffness; \
-                 an undeformed start needs no equilibrium"
-            .to_owned(),
+        reason: format!("accelerations up to {worst:.3e} SI units remain"),
     })
 }

@@ -29,12 +29,13 @@ pub enum ParameterError {
     #[error("cannot read the parameters: {0}")]
     Format(String),
     /// No static equilibrium was found for the body.
-    #[error("no static equilibrium found (largest acceleration left {residual:.3e}): {advice}")]
+    #[error(
+        "no static equilibrium found: {reason}; lower gravity or arm_density, raise \
+         longitudinal_stiffness, or start undeformed"
+    )]
     NoEquilibrium {
-        /// Largest remaining acceleration, SI units.
-        residual: f64,
-        /// What to try.
-        advice: String,
+        /// What the search ran into.
+        reason: String,
     },
 }
 
@@ -68,11 +69,7 @@ impl Limit {
 }
 
 /// The arm has left the domain in which the model describes it. The arm keeps its last valid state.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error(
-    "the arm left its domain: {} of compartment {compartment} is {value:.4}, allowed {low:.4} to {high:.4}, at t = {time:.4} s",
-    limit.name()
-)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DomainError {
     /// Which limit was passed.
     pub limit: Limit,
@@ -87,3 +84,23 @@ pub struct DomainError {
     /// Time since the last reset at which the failing step would have ended \[s\].
     pub time: f64,
 }
+
+impl std::fmt::Display for DomainError {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { limit, compartment, value, low, high, time } = self;
+        write!(formatter, "the arm left its domain: ")?;
+        match limit {
+            Limit::NotFinite => {
+                write!(formatter, "compartment {compartment} has no finite state")?;
+            }
+            _ => write!(
+                formatter,
+                "{} of compartment {compartment} is {value:.4}, allowed {low:.4} to {high:.4}",
+                limit.name()
+            )?,
+        }
+        write!(formatter, ", at t = {time:.4} s")
+    }
+}
+
+impl std::error::Error for DomainError {}

@@ -208,17 +208,32 @@ impl ArmParameters {
     /// A drag coefficient below zero would push the arm along: Eq. 14 must stay at or above zero
     /// on the whole range of incidence, 0 to 90 degrees.
     fn check_drag(&self) -> Result<(), ParameterError> {
-        for tenth in 0..=900_u32 {
-            let angle = f64::from(tenth) / 10.0;
-            let value = self.drag_coefficients.iter().fold(0.0, |sum, e| sum * angle + e);
+        let drag = |angle: f64| self.drag_coefficients.iter().fold(0.0, |sum, e| sum * angle + e);
+        // A quartic has at most two minima: a grid brackets each, thirds close in on it.
+        let grid = |k: usize| k as f64 / 4.0;
+        for k in 0..=360_usize {
+            let (mut low, mut high) = (grid(k.saturating_sub(1)), grid((k + 1).min(360)));
+            if drag(grid(k)) > drag(low).min(drag(high)) {
+                continue;
+            }
+            for _ in 0..60 {
+                let third = (high - low) / 3.0;
+                if drag(low + third) < drag(high - third) {
+                    high -= third;
+                } else {
+                    low += third;
+                }
+            }
+            let angle = 0.5 * (low + high);
+            let value = drag(angle).min(drag(grid(k)));
             if value < 0.0 {
                 return Err(ParameterError::OutOfRange {
                     name: "drag_coefficients".to_owned(),
                     value: format!(
-                        "{:?} (Eq. 14 gives {value} at {angle} degrees)",
+                        "{:?} (Eq. 14 gives {value:.3e} at {angle:.2} degrees)",
                         self.drag_coefficients
                     ),
-                    range: "a polynomial at or above 0 from 0 to 90 degrees".to_owned(),
+                    range: "of polynomials at or above 0 from 0 to 90 degrees".to_owned(),
                 });
             }
         }

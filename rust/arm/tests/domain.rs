@@ -318,7 +318,6 @@ fn finite_rates_of_any_size_are_a_state_and_then_an_error() {
 }
 
 #[test]
-#[ignore = "known: `steps + 1` overflows in `Arm::find_failure`"]
 fn a_state_may_be_of_any_age() {
     let mut arm = resting(Actuator::Servo);
     let state = spoilt(&arm, |s| s.steps = u64::MAX);

@@ -1,5 +1,5 @@
 //! The episode: what the teacher earns, where it starts, how it ends, and that it is repeatable.
-#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 use octoarm_arm::Actuator;
 use octoarm_env::{Episode, EpisodeConfig, Target, TargetName};

@@ -1,0 +1,219 @@
+"""The body through its Python face."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from octoarm_env import Arm, ArmParameters, ArmState, DomainError
+
+
+def swing(steps: int, reach: float = 20.0) -> np.ndarray:
+    t = np.arange(steps) * 1e-3
+    return reach * np.stack([np.sin(6.0 * t) ** 2, np.sin(4.0 * t) ** 2], axis=1)
+
+
+def test_the_arm_starts_in_equilibrium_and_stays() -> None:
+    arm = Arm()
+    before = arm.lengths
+    assert before.shape == (80,)
+    after = arm.run(np.zeros((500, 2)))[-1]
+    # Newton's method leaves accelerations of 1e-9 at most; 0.5 s of them move nothing by 1e-12 m.
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
+    # It hangs: the base carries everything below it.
+    assert before[0] > before[40] > 0.02
+
+
+def test_undeformed_reset() -> None:
+    arm = Arm()
+    lengths = arm.reset(undeformed=True)
+    np.testing.assert_allclose(lengths, 0.02, rtol=0, atol=1e-16)
+    assert arm.energy() == (0.0, pytest.approx(0.0, abs=1e-25))
+    assert arm.time == 0.0
+    positions = arm.positions
+    assert positions.shape == (21, 3)
+    np.testing.assert_allclose(positions[:, :2], 0.0, atol=1e-17)
+    assert np.all(np.diff(positions[:, 2]) > 0.0199)
+
+
+def test_observation_order_is_the_paper_s() -> None:
+    # Bending about +x by moving θ stretches and shortens springs 2 and 4, not 1 and 3.
+    arm = Arm()
+    for _ in range(20):
+        lengths = arm.step(arm.base_angles[0] + 0.2, 0.0).reshape(20, 4)
+    spread = np.abs(lengths[0] - lengths[0].mean())
+    assert spread[1] > 20 * spread[0]
+    assert spread[3] > 20 * spread[2]
+
+
+@pytest.mark.parametrize("actuator", ["direct", "servo"])
+def test_step_and_run_are_the_same_bits(actuator: str) -> None:
+    angles = swing(300)
+    one, other = Arm(actuator=actuator), Arm(actuator=actuator)
+    stepped = np.array([one.step(theta, phi) for theta, phi in angles])
+    assert np.array_equal(stepped, other.run(angles))
+    assert one.state == other.state
+
+
+def test_direct_base_is_where_it_was_commanded_and_servo_follows_its_equation() -> None:
+    arm = Arm()
+    arm.step(0.5, -0.25)
+    np.testing.assert_allclose(arm.base_angles, [0.5, -0.25], rtol=1e-14)
+    arm = Arm(actuator="servo")
+    arm.run(np.tile([10.0, 0.0], (30, 1)))
+    omega_t = 2 * np.pi * 12.0 * 0.03
+    expected = 10.0 * (1.0 - (1.0 + omega_t) * np.exp(-omega_t))
+    np.testing.assert_allclose(arm.base_angles[0], expected, rtol=1e-12)
+
+
+def test_state_pickle_and_deepcopy_go_on_with_the_same_bits() -> None:
+    arm = Arm(ArmParameters(compartments=9), actuator="servo")
+    arm.muscles = (np.full((9, 4), 0.01), np.full((9, 4), -0.02))
+    arm.run(swing(200))
+    saved = arm.state
+    copies = [pickle.loads(pickle.dumps(arm)), copy.deepcopy(arm)]
+    fresh = Arm(ArmParameters(compartments=9), actuator="servo")
+    fresh.muscles = arm.muscles
+    fresh.state = saved
+    copies.append(fresh)
+    expected = arm.run(swing(200, 15.0))
+    for twin in copies:
+        assert np.array_equal(twin.run(swing(200, 15.0)), expected)
+        assert twin.time == arm.time
+    assert isinstance(saved, ArmState)
+    assert saved.coordinates.shape == saved.rates.shape == (9, 7)
+    assert saved.base.shape == (4,)
+
+
+def test_closed_loop_is_open_loop_with_the_readout_s_outputs() -> None:
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=(81, 2)) * 3.0
+    arm, twin = Arm(), Arm()
+    weights[80] = -weights[:80].T @ arm.lengths
+    push = 0.01 * rng.normal(size=(100, 2))
+    outputs, lengths = arm.run_closed_loop(weights, 100, perturbation=push)
+    assert outputs.shape == (100, 2)
+    assert lengths.shape == (100, 80)
+    assert np.array_equal(twin.run(outputs + push), lengths)
+    said = lengths[:-1] @ weights[:80] + weights[80]
+    np.testing.assert_allclose(outputs[1:], said, rtol=0, atol=1e-12)
+    zero_out, zero_lengths = arm.run_closed_loop(weights, 0)
+    assert zero_out.shape == (0, 2)
+    assert zero_lengths.shape == (0, 80)
+
+
+def test_leaving_the_domain_names_the_limit_and_keeps_the_last_state() -> None:
+    arm = Arm()
+    rng = np.random.default_rng(1)
+    with pytest.raises(DomainError, match=r"compartment \d+ is .* at t = ") as caught:
+        arm.run(rng.uniform(-30, 30, (2000, 2)))
+    error = caught.value
+    assert error.lengths.shape == (error.step, 80)
+    assert np.isfinite(error.lengths).all()
+    assert error.limit in {"bend_angle", "height", "radius", "spring_length", "not_finite"}
+    assert 1 <= error.compartment <= 20
+    assert np.array_equal(arm.lengths, error.lengths[-1])
+    assert arm.time == pytest.approx(error.step * 1e-3)
+    weights = np.full((80, 2), 1e4)
+    with pytest.raises(DomainError) as caught:
+        Arm().run_closed_loop(weights, 50)
+    assert caught.value.outputs.shape == (caught.value.step, 2)
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "words"),
+    [
+        (lambda arm: arm.step(np.nan, 0.0), ValueError, "theta = NaN"),
+        (lambda arm: arm.step(0.0, np.inf), ValueError, "phi = inf"),
+        (lambda arm: arm.step(0.0, 1e300), ValueError, "-3600, 3600"),
+        (lambda arm: arm.step("a", 0.0), TypeError, "theta"),
+        (lambda arm: arm.run(np.zeros((5, 3))), ValueError, r"angles has shape \(5, 3\)"),
+        (lambda arm: arm.run(np.zeros(5)), ValueError, r"angles has shape \(5,\)"),
+        (lambda arm: arm.run([[0.0, np.nan]]), ValueError, r"angles\[0, 1\] = NaN"),
+        (lambda arm: arm.run([[0.0, 1e9]]), ValueError, r"angles\[0\]: phi"),
+        (lambda arm: arm.run([["a", "b"]]), TypeError, "angles must be an array of real numbers"),
+        (lambda arm: arm.run(np.zeros((2, 2), complex)), TypeError, "complex"),
+        (lambda arm: arm.run(None), TypeError, "angles"),
+        (lambda arm: arm.run_closed_loop(np.zeros((79, 2)), 5), ValueError, r"weights has shape"),
+        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), -1), OverflowError, ""),
+        (
+            lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 5, np.zeros((4, 2))),
+            ValueError,
+            r"perturbation has shape \(4, 2\)",
+        ),
+        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 2**62), ValueError, "steps"),
+        (
+            lambda arm: setattr(arm, "muscles", (np.zeros((20, 3)), np.zeros((20, 4)))),
+            ValueError,
+            "longitudinal has shape",
+        ),
+        (
+            lambda arm: setattr(arm, "muscles", (np.zeros((20, 4)), np.full((20, 4), np.inf))),
+            ValueError,
+            r"transverse\[0, 0\] = inf",
+        ),
+    ],
+)
+def test_bad_input_is_refused_and_changes_nothing(call, kind, words) -> None:
+    arm = Arm()
+    arm.run(swing(20))
+    before = arm.state
+    with pytest.raises(kind, match=words):
+        call(arm)
+    assert arm.state == before
+
+
+def test_bad_states_are_refused_and_change_nothing() -> None:
+    arm = Arm()
+    good = arm.state
+
+    def broken(**changes: object) -> ArmState:
+        fields = {"coordinates": good.coordinates, "rates": good.rates, "base": good.base}
+        return ArmState(**{**fields, **changes}, steps=0)  # type: ignore[arg-type]
+
+    folded = good.coordinates.copy()
+    folded[3, 1] = 2.0
+    nan = good.rates.copy()
+    nan[2, 2] = np.nan
+    for state, words in [
+        (broken(coordinates=good.coordinates[:-1]), r"state.coordinates has shape \(19, 7\)"),
+        (broken(rates=nan), r"state.rates\[2, 2\]"),
+        (broken(base=np.zeros(3)), "state.base has shape"),
+        (broken(coordinates=folded), "bend_angle of compartment 4"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            arm.state = state
+        assert arm.state == good
+
+
+def test_bad_construction() -> None:
+    with pytest.raises(ValueError, match="actuator"):
+        Arm(actuator="hydraulic")
+    with pytest.raises(TypeError, match="ArmParameters"):
+        Arm({"arm_density": 1000.0})
+
+
+def test_releases_the_gil() -> None:
+    # Another thread counts while the arm runs; with the GIL held it would stand still.
+    import threading
+
+    arm = Arm()
+    counts = []
+    done = threading.Event()
+
+    def count() -> None:
+        n = 0
+        while not done.is_set():
+            n += 1
+            if n % 100 == 0:
+                counts.append(n)
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    arm.run(np.zeros((8000, 2)))
+    done.set()
+    thread.join()
+    assert len(counts) > 10

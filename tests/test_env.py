@@ -1,0 +1,265 @@
+"""OctoArm-v0 as Gymnasium and stable-baselines3 see it."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_checker import data_equivalence as equivalent
+
+import octoarm_env
+from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy
+
+TARGETS = ["quadratic", "van_der_pol", "lissajous"]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("actuator", ["servo", "direct"])
+def test_gymnasium_s_checker(target: str, actuator: str) -> None:
+    check_env(gym.make("OctoArm-v0", target=target, actuator=actuator).unwrapped)
+
+
+def test_stable_baselines3_s_checker() -> None:
+    from stable_baselines3.common.env_checker import check_env as check
+
+    check(gym.make("OctoArm-v0"), warn=True)
+
+
+def test_registration() -> None:
+    env = gym.make("octoarm_env:OctoArm-v0")
+    assert isinstance(env.unwrapped, OctoArmEnv)
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == 500
+    assert env.action_space == gym.spaces.Box(-1, 1, (2,), np.float32)
+    assert env.observation_space == gym.spaces.Box(0.001, 0.06, (80,), np.float64)
+    env.reset(seed=0)
+    for step in range(1, 501):
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        assert not terminated
+        assert truncated == (step == 500)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_teacher_earns_what_can_be_earned(target: str) -> None:
+    env = gym.make("OctoArm-v0", target=target)
+    teacher = TeacherPolicy(env)
+    observation, info = env.reset(seed=1)
+    assert info["tracking_error"] < 1e-9
+    total = 0.0
+    for _ in range(500):
+        action, _ = teacher.predict(observation)
+        observation, reward, terminated, _, info = env.step(action)
+        assert not terminated
+        # Actions are float32: 1e-7 of 24 degrees.
+        assert info["tracking_error"] < 1e-4
+        assert reward == info["reward_tracking"] + info["reward_action_change"]
+        total += float(reward)
+    # The whole of the loss is the cost of moving.
+    assert total > 0.9995 * 500
+
+
+def test_same_seed_same_bits() -> None:
+    def trace(seed: int) -> list:
+        env = gym.make("OctoArm-v0")
+        env.action_space.seed(seed)
+        rows = [env.reset(seed=seed)]
+        rows += [env.step(env.action_space.sample()) for _ in range(50)]
+        rows.append(env.reset())
+        return rows
+
+    assert equivalent(trace(3), trace(3), exact=True)
+    assert not equivalent(trace(3)[0], trace(4)[0], exact=True)
+
+
+def test_unseeded_environments_differ() -> None:
+    starts = [tuple(gym.make("OctoArm-v0").reset()[1]["target"]) for _ in range(6)]
+    assert len(set(starts)) > 1
+
+
+def test_reset_begins_on_the_orbit_at_every_phase() -> None:
+    env = OctoArmEnv(target="lissajous", amplitude=15.0)
+    seen = []
+    for seed in range(60):
+        observation, info = env.reset(seed=seed)
+        assert observation in env.observation_space
+        assert info["tracking_error"] < 1e-9
+        np.testing.assert_allclose(info["base_angles"], info["target"], atol=1e-9)
+        seen.append(info["target"])
+    quadrants = {(theta > 0, phi > 0) for theta, phi in seen}
+    assert len(quadrants) == 4
+    _, info = env.reset(options={"phase": 0.25})
+    np.testing.assert_allclose(info["target"], [0.0, 15.0], atol=1.0)
+
+
+def test_targets_and_arguments() -> None:
+    env = OctoArmEnv()
+    assert env.amplitude == pytest.approx(20.0)
+    assert env.action_range == pytest.approx(24.0)
+    assert np.abs(env.orbit).max() == pytest.approx(20.0)
+    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    circle = 12.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    env = OctoArmEnv(target=circle, action_range=30.0)
+    assert env.amplitude == pytest.approx(12.0)
+    assert env.period == pytest.approx(0.4)
+    _, info = env.reset(seed=0)
+    assert np.hypot(*info["target"]) == pytest.approx(12.0, abs=1e-6)
+    assert OctoArmEnv(target=circle, amplitude=6.0).amplitude == pytest.approx(6.0)
+    short = OctoArmEnv(arm=ArmParameters(compartments=5))
+    assert short.observation_space.shape == (20,)
+    assert short.reset(seed=0)[0].shape == (20,)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "words"),
+    [
+        ({"target": "circle"}, ValueError, "target = 'circle'.*quadratic"),
+        ({"target": np.zeros((5, 3))}, ValueError, r"target has shape \(5, 3\)"),
+        ({"target": np.zeros((50, 2))}, ValueError, "all zeros"),
+        ({"target": [[0.0, np.nan]] * 9}, ValueError, "finite"),
+        ({"target": np.array([["a", "b"]])}, TypeError, "target"),
+        ({"target": np.ones((2, 2))}, ValueError, r"target has shape \(2, 2\)"),
+        ({"amplitude": -1.0}, ValueError, r"amplitude = -1 .*\(0, 360\]"),
+        ({"amplitude": "big"}, TypeError, "amplitude"),
+        ({"amplitude": np.nan}, ValueError, "amplitude = nan"),
+        ({"amplitude": 300.0}, ValueError, "amplitude = 300.*left its domain"),
+        ({"control_period": 0.0015}, ValueError, "control_period = 0.0015.*multiples"),
+        ({"actuator": "magic"}, ValueError, "actuator = 'magic'"),
+        ({"arm": {"timestep": 1.0}}, TypeError, "ArmParameters"),
+        ({"action_range": 0.0}, ValueError, "action_range = 0"),
+        ({"reward_width": np.inf}, ValueError, "reward_width = inf"),
+        ({"tracking_weight": -2}, ValueError, "tracking_weight = -2"),
+        ({"action_change_weight": None}, TypeError, "action_change_weight"),
+        ({"render_mode": "human"}, ValueError, "render_mode"),
+        ({"colour": 3}, TypeError, "colour"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict, kind: type[Exception], words: str) -> None:
+    with pytest.raises(kind, match=words):
+        OctoArmEnv(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("action", "kind", "words"),
+    [
+        (np.array([np.nan, 0.0]), ValueError, r"action\[0\] = NaN"),
+        (np.array([0.0, np.inf], np.float32), ValueError, r"action\[1\] = inf"),
+        (np.array([0.0, 1.5]), ValueError, r"action\[1\] = 1.5 .*\[-1, 1\]"),
+        (np.zeros(3), ValueError, r"action has shape \(3,\)"),
+        (np.zeros((1, 2)), ValueError, r"action has shape \(1, 2\)"),
+        (0.5, ValueError, "action has shape"),
+        (None, TypeError, "action"),
+        ("no", TypeError, "action"),
+        (np.zeros(2, complex), TypeError, "action"),
+    ],
+)
+def test_bad_actions_are_refused_and_change_nothing(action, kind, words) -> None:
+    env, twin = OctoArmEnv(), OctoArmEnv()
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(kind, match=words):
+        env.step(action)
+    good = np.array([0.3, -0.4])
+    assert equivalent(env.step(good), twin.step(good), exact=True)
+
+
+def test_order_of_calls() -> None:
+    env = OctoArmEnv()
+    with pytest.raises(ValueError, match="reset"):
+        env.step(np.zeros(2))
+    for options in ({"phase": 2.0}, {"phase": np.nan}, {"angle": 1.0}):
+        with pytest.raises(ValueError, match="phase"):
+            env.reset(options=options)
+    with pytest.raises(TypeError, match="phase"):
+        env.reset(options={"phase": "x"})
+
+
+def test_integer_and_list_actions_are_actions() -> None:
+    env, twin = OctoArmEnv(), OctoArmEnv()
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    assert equivalent(env.step([1, 0]), twin.step(np.array([1.0, 0.0], np.float32)), exact=True)
+
+
+def test_pickle_and_deepcopy_go_on_with_the_same_bits() -> None:
+    env = gym.make("OctoArm-v0", target="van_der_pol")
+    env.reset(seed=9)
+    for _ in range(25):
+        env.step(np.array([0.2, 0.6], np.float32))
+    twins = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
+    action = np.array([-0.7, 0.1], np.float32)
+    expected = [env.step(action) for _ in range(30)] + [env.reset(), env.step(action)]
+    for twin in twins:
+        got = [twin.step(action) for _ in range(30)] + [twin.reset(), twin.step(action)]
+        assert equivalent(got, expected, exact=True)
+
+
+def test_observations_are_fresh_and_in_bounds() -> None:
+    env = OctoArmEnv()
+    env.action_space.seed(0)
+    first, _ = env.reset(seed=0)
+    kept = first.copy()
+    rng = np.random.default_rng(0)
+    for step in range(20_000):
+        bang = 1.0 if (step // 18) % 2 == 0 else -1.0
+        action = rng.uniform(-1, 1, 2) if step < 10_000 else np.array([bang, -bang])
+        observation, reward, terminated, _, _ = env.step(action)
+        assert not terminated
+        assert np.isfinite(reward)
+        assert -0.08 <= reward <= 1.0
+        assert observation in env.observation_space
+    assert np.array_equal(first, kept)
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vector_environments_of_gymnasium(mode: str) -> None:
+    envs = gym.make_vec("OctoArm-v0", num_envs=2, vectorization_mode=mode, target="lissajous")
+    try:
+        teacher = TeacherPolicy(envs)
+        observations, _ = envs.reset(seed=5)
+        single = gym.make("OctoArm-v0", target="lissajous")
+        observation, _ = single.reset(seed=6)
+        for _ in range(20):
+            assert np.array_equal(observations[1], observation)
+            actions, _ = teacher.predict(observations)
+            assert actions.shape == (2, 2)
+            observations, rewards, _, _, infos = envs.step(actions)
+            observation, reward, _, _, info = single.step(actions[1])
+            assert rewards[1] == reward
+            assert infos["tracking_error"][1] == info["tracking_error"]
+    finally:
+        envs.close()
+
+
+def test_termination_reports_the_failure() -> None:
+    env = gym.make("OctoArm-v0", actuator="direct", control_period=0.001)
+    env.reset(seed=0)
+    for step in range(1000):
+        sign = 1.0 if step % 2 else -1.0
+        observation, _, terminated, _, info = env.step(np.array([sign, sign], np.float32))
+        if terminated:
+            break
+    assert terminated
+    assert "compartment" in info["failure"]
+    assert info["reward_tracking"] == 0.0
+    assert observation in env.observation_space
+    _, info = env.reset()
+    assert "failure" not in info
+
+
+def test_teacher_wants_this_environment() -> None:
+    with pytest.raises(TypeError, match="OctoArm-v0"):
+        TeacherPolicy(gym.make("CartPole-v1"))
+
+
+def test_the_docstring_tells_every_argument() -> None:
+    import inspect
+
+    text = inspect.getdoc(OctoArmEnv) or ""
+    for name in inspect.signature(OctoArmEnv.__init__).parameters:
+        if name != "self":
+            assert f"| `{name}`" in text
+    assert octoarm_env.__version__.count(".") == 2

@@ -1,0 +1,109 @@
+"""ArmParameters: frozen, validated, and exact on their way through files."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octoarm_env import Arm, ArmParameters
+
+
+def test_defaults_are_table_1() -> None:
+    p = ArmParameters()
+    assert (p.rest_length, p.base_radius, p.tip_radius) == (0.02, 0.015, 0.0067)
+    assert (p.longitudinal_mass, p.transverse_mass) == (1.25e-3, 1.25e-3)
+    assert (p.longitudinal_stiffness, p.transverse_stiffness) == (196.0, 1570.0)
+    assert (p.longitudinal_damping, p.transverse_damping) == (1.0, 1.0)
+    assert (p.longitudinal_volume_gain, p.transverse_volume_gain) == (1e6, 1e6)
+    assert p.drag_coefficients == (-5.5e-9, 6.3e-7, -7.7e-6, 0.0015, 0.017)
+    assert p.lift_coefficients == (1.8e-9, -5.9e-7, 2.8e-5, 0.0011, 0.00089)
+    assert (p.water_density, p.compartments, p.timestep) == (1000.0, 20, 1e-3)
+
+
+def test_frozen_hashable_replaceable() -> None:
+    p = ArmParameters()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        p.timestep = 0.1
+    changed = p.replace(arm_density=1042, gravity=[0, 0, 1])
+    assert changed.arm_density == 1042.0
+    assert isinstance(changed.arm_density, float)
+    assert changed.gravity == (0.0, 0.0, 1.0)
+    assert changed != p
+    assert hash(p) == hash(ArmParameters())
+    assert pickle.loads(pickle.dumps(changed)) == copy.deepcopy(changed) == changed
+
+
+@given(
+    density=st.floats(0, 1e5),
+    gravity=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
+    compartments=st.integers(1, 200),
+)
+def test_round_trips_are_exact(density: float, gravity: tuple, compartments: int) -> None:
+    p = ArmParameters(arm_density=density, gravity=gravity, compartments=compartments)
+    assert ArmParameters.from_json(p.to_json()) == p
+    assert ArmParameters.from_dict(p.to_dict()) == p
+
+
+def test_files(tmp_path) -> None:
+    p = ArmParameters(area_scale=3.0)
+    path = tmp_path / "body.json"
+    p.to_json(path)
+    assert ArmParameters.from_json(path) == p
+    assert [entry.name for entry in tmp_path.iterdir()] == ["body.json"]
+    path.write_text('{"area_scale": ')
+    with pytest.raises(ValueError, match="body.json is not JSON"):
+        ArmParameters.from_json(path)
+    path.write_text("[1, 2]")
+    with pytest.raises(ValueError, match="expected a JSON object"):
+        ArmParameters.from_json(path)
+    path.write_text(json.dumps({"colour": "red"}))
+    with pytest.raises(ValueError, match="body.json: unknown parameters \\['colour'\\]"):
+        ArmParameters.from_json(str(path))
+    with pytest.raises(FileNotFoundError):
+        ArmParameters.from_json(tmp_path / "absent.json")
+    with pytest.raises(OSError, match="absent"):
+        p.to_json(tmp_path / "absent" / "body.json")
+
+
+@pytest.mark.parametrize(
+    ("fields", "kind", "words"),
+    [
+        ({"longitudinal_mass": -1.0}, ValueError, r"longitudinal_mass = -1 .* \(0, 100\]"),
+        ({"timestep": float("nan")}, ValueError, "timestep = nan"),
+        ({"rest_length": float("inf")}, ValueError, "rest_length = inf"),
+        ({"gravity": (0.0, 0.0, 1e9)}, ValueError, r"gravity\[2\]"),
+        ({"gravity": (0.0, 1.0)}, ValueError, "length 3|array of length"),
+        ({"gravity": (0.0, 0.0, float("nan"))}, ValueError, "gravity"),
+        ({"compartments": 0}, ValueError, r"compartments = 0 .* \[1, 200\]"),
+        ({"compartments": 2.5}, ValueError, "usize|integer|2.5"),
+        ({"volume_force": "both"}, ValueError, "applied"),
+        ({"area_scale": "1"}, ValueError, "f64|number|string"),
+        ({"area_scale": object()}, TypeError, "not a number"),
+        ({"drag_coefficients": (0, 0, 0, -1.0, 0.5)}, ValueError, "drag_coefficients"),
+        ({"stiffness": 3.0}, TypeError, "stiffness"),
+    ],
+)
+def test_bad_values_are_named(fields: dict, kind: type[Exception], words: str) -> None:
+    with pytest.raises(kind, match=words):
+        ArmParameters(**fields)
+
+
+def test_numpy_values() -> None:
+    p = ArmParameters(
+        arm_density=np.float32(1200.0), gravity=np.array([0.0, 0.0, 5.0]), compartments=np.int64(6)
+    )
+    assert p == ArmParameters(arm_density=1200.0, gravity=(0.0, 0.0, 5.0), compartments=6)
+    assert Arm(p).lengths.shape == (24,)
+
+
+def test_field_documentation_is_complete() -> None:
+    text = ArmParameters.__doc__ or ""
+    for field in dataclasses.fields(ArmParameters):
+        assert f"\n    {field.name} " in text
