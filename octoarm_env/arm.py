@@ -26,7 +26,8 @@ class ArmState:
     """The complete dynamic state of an arm with N compartments.
 
     Attributes:
-        coordinates: (N, 7), ``[h, alpha, beta, r1, r2, r3, r4]`` of each compartment [m, rad, rad, m].
+        coordinates: (N, 7), ``[h, alpha, beta, r1, r2, r3, r4]`` of each compartment
+            [m, rad, rad, m].
         rates: (N, 7), their time derivatives.
         base: (4,), ``[theta, phi, theta_dot, phi_dot]`` [rad, rad/s].
         steps: physics steps since the last reset.
@@ -54,9 +55,9 @@ class ArmState:
 class Arm:
     """A soft arm in water, driven by the rotation of its base (Nakajima et al. 2013, section 2.1).
 
-    The arm starts in static equilibrium. Angles are degrees here, lengths metres. The lengths of the
-    4 N longitudinal springs are in the paper's order, ``s_11, s_21, s_31, s_41, s_12, …``: index
-    ``4 (j - 1) + (i - 1)`` for spring i of compartment j.
+    The arm starts in static equilibrium. Angles are degrees here, lengths metres. The lengths of
+    the 4 N longitudinal springs are in the paper's order, ``s_11, s_21, s_31, s_41, s_12, …``:
+    index ``4 (j - 1) + (i - 1)`` for spring i of compartment j.
 
     Args:
         parameters: the body; the default is ``ArmParameters()``.
@@ -67,9 +68,9 @@ class Arm:
     Raises:
         ValueError: an unknown actuator, or a body without a static equilibrium.
 
-    Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the domain
-    of the model (a joint bent past 90 degrees, a spring or radius far out of shape); the arm then
-    keeps the state before that step. Pickle and deepcopy are exact.
+    Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the
+    domain of the model (a joint bent past 90 degrees, a spring or radius far out of shape); the arm
+    then keeps the state before that step. Pickle and deepcopy are exact.
     """
 
     def __init__(
@@ -128,8 +129,8 @@ class Arm:
             The spring lengths after each step, (T, 4 N) [m].
 
         Raises:
-            ValueError, TypeError: a wrong shape or dtype, or numbers that are not finite; no step is
-                made then.
+            ValueError, TypeError: a wrong shape or dtype, or numbers that are not finite; no step
+                is made then.
             DomainError: see the class; its ``lengths`` are those of the steps that were made.
         """
         return self._core.run(angles)
@@ -152,7 +153,8 @@ class Arm:
 
         Raises:
             ValueError, TypeError: as :meth:`run`.
-            DomainError: see the class; its ``outputs`` and ``lengths`` are those of the steps made.
+            DomainError: see the class; its ``outputs`` and ``lengths`` are those of the steps that
+                were made.
         """
         return self._core.run_closed_loop(weights, steps, perturbation)
 
@@ -163,7 +165,7 @@ class Arm:
 
     @property
     def state(self) -> ArmState:
-        """The complete state; assigning one restores it exactly, so that later steps have its bits."""
+        """The complete state; assigning one restores it, and the steps that follow, to the bit."""
         return ArmState(*self._core.get_state())
 
     @state.setter
@@ -184,7 +186,7 @@ class Arm:
         self._core.set_muscles(longitudinal, transverse)
 
     def energy(self) -> Energy:
-        """Kinetic energy of all masses in the world frame, and elastic energy of all springs [J]."""
+        """Kinetic energy of all masses (world frame) and elastic energy of all springs [J]."""
         return Energy(*self._core.energy())
 
     @property

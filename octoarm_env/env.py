@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, ClassVar, Literal, SupportsFloat
+from typing import Any, Literal, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -102,7 +102,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     * v0: initial version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 100}
+    metadata = {"render_modes": [], "render_fps": 100}  # noqa: RUF012, declared so by gymnasium.Env
 
     def __init__(
         self,
@@ -118,7 +118,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         render_mode: None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: only None is supported")
+            # A TypeError, as for an argument that does not exist: stable-baselines3's make_vec_env
+            # asks for "rgb_array" and falls back on it.
+            raise TypeError(f"render_mode = {render_mode!r}: only None is supported")
         config = {
             "target": _target(target),
             "amplitude": _number("amplitude", amplitude, optional=True),

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 class TeacherPolicy:
     """The lead-compensated clock: reads the environment's time, sees no springs.
 
-    A servo lags its command, so commanding the target itself would miss it. The teacher commands what
-    brings an undisturbed base exactly onto the target at the end of every control period; with a
-    `direct` base that is the target itself. It earns all that can be earned while nothing disturbs
-    the base.
+    A servo lags its command, so commanding the target itself would miss it. The teacher commands
+    what brings an undisturbed base exactly onto the target at the end of every control period; with
+    a `direct` base that is the target itself. It earns all that can be earned while nothing
+    disturbs the base.
 
     Args:
         env: an ``OctoArm-v0`` environment, however wrapped, or a vector environment of them.

@@ -133,7 +133,7 @@ def test_targets_and_arguments() -> None:
         ({"reward_width": np.inf}, ValueError, "reward_width = inf"),
         ({"tracking_weight": -2}, ValueError, "tracking_weight = -2"),
         ({"action_change_weight": None}, TypeError, "action_change_weight"),
-        ({"render_mode": "human"}, ValueError, "render_mode"),
+        ({"render_mode": "human"}, TypeError, "render_mode"),
         ({"colour": 3}, TypeError, "colour"),
     ],
 )

@@ -112,9 +112,12 @@ impl Arm {
         &mut self,
         py: Python<'py>,
         weights: &Bound<'py, PyAny>,
-        steps: usize,
+        steps: i64,
         perturbation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
+        let steps = usize::try_from(steps).map_err(|_| {
+            PyValueError::new_err(format!("steps = {steps}: expected a number of steps, 0 or more"))
+        })?;
         let width = self.inner.observation_len();
         let mut weights = pairs("weights", weights)?;
         if weights.len() != width && weights.len() != width + 1 {
