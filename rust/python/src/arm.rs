@@ -1,19 +1,18 @@
 //! `_core.Arm`.
 
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
+use numpy::{IntoPyArray, PyArrayMethods};
 use octoarm_arm::{Actuator, ArmParameters, ArmState, COORDINATES, LinearReadout, check_command};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{numbers, pairs};
+use crate::arrays::{Table, Vector, numbers, pairs};
 use crate::errors::{invalid, left_domain};
 
 /// Steps between two looks at Python's signals.
 const BLOCK: usize = 8192;
 
 /// Coordinates, rates, base and step count of an arm.
-type State<'py> =
-    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, u64);
+type State<'py> = (Table<'py>, Table<'py>, Vector<'py>, u64);
 
 /// One arm; `octoarm_env.Arm` documents it.
 #[pyclass(module = "octoarm_env._core")]
@@ -31,11 +30,7 @@ fn actuator(name: &str) -> PyResult<Actuator> {
     }
 }
 
-fn matrix<'py>(
-    py: Python<'py>,
-    flat: Vec<f64>,
-    columns: usize,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+fn matrix<'py>(py: Python<'py>, flat: Vec<f64>, columns: usize) -> PyResult<Table<'py>> {
     let rows = flat.len() / columns;
     flat.into_pyarray(py).reshape([rows, columns])
 }
@@ -64,16 +59,11 @@ impl Arm {
     }
 
     #[getter]
-    fn lengths<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn lengths<'py>(&self, py: Python<'py>) -> Vector<'py> {
         self.inner.lengths().into_pyarray(py)
     }
 
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        theta: f64,
-        phi: f64,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    fn step<'py>(&mut self, py: Python<'py>, theta: f64, phi: f64) -> PyResult<Vector<'py>> {
         check_command([theta, phi]).map_err(invalid)?;
         match py.detach(|| self.inner.step([theta, phi])) {
             Ok(()) => Ok(self.lengths(py)),
@@ -81,11 +71,7 @@ impl Arm {
         }
     }
 
-    fn run<'py>(
-        &mut self,
-        py: Python<'py>,
-        angles: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn run<'py>(&mut self, py: Python<'py>, angles: &Bound<'py, PyAny>) -> PyResult<Table<'py>> {
         let commands = pairs("angles", angles)?;
         for (row, command) in commands.iter().enumerate() {
             check_command(*command)
@@ -114,7 +100,7 @@ impl Arm {
         weights: &Bound<'py, PyAny>,
         steps: i64,
         perturbation: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
+    ) -> PyResult<(Table<'py>, Table<'py>)> {
         let steps = usize::try_from(steps).map_err(|_| {
             PyValueError::new_err(format!("steps = {steps}: expected a number of steps, 0 or more"))
         })?;
@@ -210,10 +196,7 @@ impl Arm {
         self.inner.set_state(&state).map_err(invalid)
     }
 
-    fn get_muscles<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
+    fn get_muscles<'py>(&self, py: Python<'py>) -> PyResult<(Table<'py>, Table<'py>)> {
         let (longitudinal, transverse) = self.inner.muscles();
         Ok((matrix(py, longitudinal, 4)?, matrix(py, transverse, 4)?))
     }
@@ -235,7 +218,7 @@ impl Arm {
     }
 
     #[getter]
-    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
         matrix(py, self.inner.positions().into_flattened(), 3)
     }
 
@@ -245,7 +228,7 @@ impl Arm {
     }
 
     #[getter]
-    fn base_angles<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn base_angles<'py>(&self, py: Python<'py>) -> Vector<'py> {
         self.inner.base_degrees().to_vec().into_pyarray(py)
     }
 }

@@ -1,11 +1,18 @@
 //! Arrays from Python: dtype, shape and finiteness checked by name, copied once.
 
+use numpy::{PyArray1, PyArray2};
 use numpy::{
     PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+
+/// A vector handed to Python.
+pub(crate) type Vector<'py> = Bound<'py, PyArray1<f64>>;
+
+/// A matrix handed to Python.
+pub(crate) type Table<'py> = Bound<'py, PyArray2<f64>>;
 
 /// Any array of real numbers as a float64 array; other things are a `TypeError` naming `name`.
 fn as_float64<'py>(

@@ -1,12 +1,12 @@
 //! `_core.Episode`.
 
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods, PyUntypedArrayMethods};
 use octoarm_arm::ParameterError;
 use octoarm_env::{EpisodeConfig, Outcome};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::numbers;
+use crate::arrays::{Table, Vector, numbers};
 use crate::errors::invalid;
 
 /// One environment's episode; `octoarm_env.OctoArmEnv` documents it.
@@ -36,7 +36,7 @@ fn action(value: &Bound<'_, PyAny>) -> PyResult<[f64; 2]> {
 }
 
 impl Episode {
-    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn observation<'py>(&self, py: Python<'py>) -> Vector<'py> {
         self.inner.arm().lengths().into_pyarray(py)
     }
 }
@@ -72,7 +72,7 @@ impl Episode {
         &mut self,
         py: Python<'py>,
         phase: Option<f64>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
+    ) -> PyResult<(Vector<'py>, Bound<'py, PyDict>)> {
         let outcome = match phase {
             None => self.inner.reset(),
             Some(phase) => self.inner.reset_to_phase(phase).map_err(invalid)?,
@@ -84,7 +84,7 @@ impl Episode {
         &mut self,
         py: Python<'py>,
         action: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, f64, bool, Bound<'py, PyDict>)> {
+    ) -> PyResult<(Vector<'py>, f64, bool, Bound<'py, PyDict>)> {
         let action = self::action(action)?;
         let outcome = py.detach(|| self.inner.step(action)).map_err(invalid)?;
         Ok((
@@ -95,7 +95,7 @@ impl Episode {
         ))
     }
 
-    fn teacher_action<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn teacher_action<'py>(&self, py: Python<'py>) -> Vector<'py> {
         PyArray1::from_slice(py, &self.inner.teacher_action())
     }
 
@@ -141,13 +141,13 @@ impl Episode {
     }
 
     #[getter]
-    fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
         let table = self.inner.swing().orbit.table();
         PyArray1::from_slice(py, table.as_flattened()).reshape([table.len(), 2])
     }
 
     #[getter]
-    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
         let positions = self.inner.arm().positions().into_flattened();
         let rows = positions.len() / 3;
         positions.into_pyarray(py).reshape([rows, 3])
