@@ -11,8 +11,13 @@ The body without an episode around it is :class:`Arm`, its parameters are :class
 """
 
 from importlib.metadata import version
+from pkgutil import extend_path
 
 from gymnasium.envs.registration import register
+
+# In a checkout this folder hides the installed package, which holds the compiled core: look there
+# too.
+__path__ = extend_path(__path__, __name__)
 
 from octoarm_env._core import DomainError, instruction_set
 from octoarm_env.arm import Arm, ArmState, Energy

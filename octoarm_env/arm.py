@@ -69,7 +69,7 @@ class Arm:
         ValueError: an unknown actuator, or a body without a static equilibrium.
 
     Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the
-    domain of the model (a joint bent past 90 degrees, a spring or radius far out of shape); the arm
+    domain of the model (a joint bent past 150 degrees, a strut or spring far out of shape); the arm
     then keeps the state before that step. Pickle and deepcopy are exact.
     """
 

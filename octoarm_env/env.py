@@ -87,7 +87,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `control_period`       | `0.01`        | seconds from action to action, a multiple of `arm.timestep` |
     | `actuator`             | `"servo"`     | `"servo"` or `"direct"`                                  |
     | `arm`                  | `None`        | the body, an `ArmParameters`                             |
-    | `action_range`         | `None`        | degrees of base rotation at an action of 1; None: 1.2 × amplitude |
+    | `action_range`         | `None`        | degrees of base rotation at an action of 1; None: 1.3 × amplitude |
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
     | `action_change_weight` | `0.01`        | see Rewards                                              |
@@ -161,7 +161,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         phase = _phase(options)
         super().reset(seed=seed)
         if seed is not None:
-            self._core.seed(seed)
+            self._core.seed(seed % 2**64)
         elif not self._seeded:
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True

@@ -176,7 +176,7 @@ def test_bad_states_are_refused_and_change_nothing() -> None:
         return ArmState(**{**fields, **changes}, steps=0)  # type: ignore[arg-type]
 
     folded = good.coordinates.copy()
-    folded[3, 1] = 2.0
+    folded[3, 1] = 2.7
     nan = good.rates.copy()
     nan[2, 2] = np.nan
     for state, words in [

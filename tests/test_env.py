@@ -54,7 +54,7 @@ def test_the_teacher_earns_what_can_be_earned(target: str) -> None:
         action, _ = teacher.predict(observation)
         observation, reward, terminated, _, info = env.step(action)
         assert not terminated
-        # Actions are float32: 1e-7 of 24 degrees.
+        # Actions are float32: 1e-7 of 26 degrees.
         assert info["tracking_error"] < 1e-4
         assert reward == info["reward_tracking"] + info["reward_action_change"]
         total += float(reward)
@@ -98,7 +98,7 @@ def test_reset_begins_on_the_orbit_at_every_phase() -> None:
 def test_targets_and_arguments() -> None:
     env = OctoArmEnv()
     assert env.amplitude == pytest.approx(20.0)
-    assert env.action_range == pytest.approx(24.0)
+    assert env.action_range == pytest.approx(26.0)
     assert np.abs(env.orbit).max() == pytest.approx(20.0)
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     circle = 12.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)

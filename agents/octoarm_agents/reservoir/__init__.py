@@ -1,4 +1,4 @@
-"""The body as a reservoir: targets, linear readout, measures (Nakajima et al. 2013, section 2.2)."""
+"""The body as a reservoir: targets, linear readout, measures (section 2.2 of the paper)."""
 
 from octoarm_agents.reservoir.limit_cycles import LIMIT_CYCLES, LimitCycle
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time

@@ -9,16 +9,15 @@ __all__ = ["orbit_distance", "turn_time"]
 
 Float = NDArray[np.float64]
 
-_CHUNK = 2048
+_CHUNK = 1024
 """Points treated at a time, so that the table of all distances stays small."""
 
 
 def orbit_distance(points: Float, orbit: Float) -> Float:
     """Distance of each point to a closed curve, in the unit of both.
 
-    The nearest sample of the curve is sought, then the nearest point on the two chords that meet
-    there. For a point nearer to the curve than the curve's turns are to each other this is the
-    distance to the polygon; elsewhere it exceeds that by less than half a chord.
+    The curve is the polygon of its samples. Its nearest point lies on a chord with an end no
+    farther away than the nearest sample is, plus half a chord; only such chords are tried.
 
     Args:
         points: (T, 2).
@@ -28,16 +27,24 @@ def orbit_distance(points: Float, orbit: Float) -> Float:
         (T,), not negative.
     """
     distances = np.empty(len(points))
-    half_squares = 0.5 * np.einsum("kc,kc->k", orbit, orbit)
+    before, after = np.roll(orbit, 1, axis=0), np.roll(orbit, -1, axis=0)
+    half_chord = 0.5 * float(np.hypot(*(after - orbit).T).max())
+    norms = np.einsum("kc,kc->k", orbit, orbit)
+    rounding = 1e-12 * float(norms.max())
     for begin in range(0, len(points), _CHUNK):
         chunk = points[begin : begin + _CHUNK]
-        nearest = np.argmin(half_squares - chunk @ orbit.T, axis=1)
-        vertex = orbit[nearest]
-        before = orbit[nearest - 1]
-        after = orbit[(nearest + 1) % len(orbit)]
-        distances[begin : begin + _CHUNK] = np.minimum(
-            _chord_distance(chunk, vertex, before), _chord_distance(chunk, vertex, after)
+        # |p - v|² = |p|² - 2 p·v + |v|², for all samples v at once.
+        squares = norms - 2 * (chunk @ orbit.T)
+        squares += np.einsum("tc,tc->t", chunk, chunk)[:, np.newaxis]
+        nearest = np.sqrt(np.maximum(squares.min(axis=1), 0.0))
+        limits = (nearest + half_chord) ** 2 * (1 + 1e-12) + rounding
+        rows, columns = np.nonzero(squares <= limits[:, np.newaxis])
+        candidates = np.minimum(
+            _chord_distance(chunk[rows], orbit[columns], before[columns]),
+            _chord_distance(chunk[rows], orbit[columns], after[columns]),
         )
+        firsts = np.searchsorted(rows, np.arange(len(chunk)))
+        distances[begin : begin + _CHUNK] = np.minimum.reduceat(candidates, firsts)
     return distances
 
 

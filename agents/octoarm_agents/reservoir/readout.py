@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,9 @@ def fit_readout(lengths: Float, targets: Float, noise: float = 0.0) -> Readout:
     if not (noise >= 0 and math.isfinite(noise)):
         raise ValueError(f"noise = {noise}: expected a number of metres, not negative")
     # Singular values of the triangular factor: SᵀS would lose everything below 1e-8 of the largest.
-    triangle = np.linalg.qr(np.hstack((lengths, targets)), mode="r")[:springs]
+    # (NumPy's stubs know only the mode that returns a pair.)
+    factor = cast("Float", np.linalg.qr(np.hstack((lengths, targets)), mode="r"))
+    triangle = factor[:springs]
     left, singular, right = np.linalg.svd(triangle[:, :springs])
     if noise == 0.0:
         kept = singular > rows * np.finfo(np.float64).eps * singular[0]

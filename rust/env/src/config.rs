@@ -43,7 +43,7 @@ pub struct EpisodeConfig {
     pub actuator: Actuator,
     /// The body.
     pub arm: ArmParameters,
-    /// Base angle of an action of 1 \[degrees\]; without one, 1.2 times the amplitude.
+    /// Base angle of an action of 1 \[degrees\]; without one, 1.3 times the amplitude.
     pub action_range: Option<f64>,
     /// Reward of an exactly tracked step.
     pub tracking_weight: f64,
@@ -70,10 +70,10 @@ impl Default for EpisodeConfig {
 }
 
 /// At 20 degrees whatever an agent does within the action bounds keeps the arm in its domain; at 30,
-/// bang-bang actions near the arm's resonances (2.5 and 5 Hz) bend a joint past 90 degrees.
+/// bang-bang actions near the arm's resonances fold it back on itself.
 const DEFAULT_AMPLITUDE: f64 = 20.0;
 /// The lead-compensated clock commands at most 1.08 times the amplitude of the three targets.
-const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.2;
+const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.3;
 /// Bounds of `amplitude` and `action_range` \[degrees\].
 const ANGLE_LIMIT: f64 = 360.0;
 const MAX_CONTROL_STEPS: f64 = 10_000.0;

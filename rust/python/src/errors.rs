@@ -12,7 +12,7 @@ pyo3::create_exception!(
     "The arm left the domain in which the model describes it; it keeps its last valid state.
 
 Attributes: limit (str), compartment (int, from 1 at the base), value, low, high (float), time (s),
-step (index of the step that was not made), lengths and outputs (what was computed before it, or None)."
+step (index, within the call, of the step that was not made), lengths and outputs (what was computed before it, or None)."
 );
 
 /// A parameter error as `ValueError`.

@@ -1,0 +1,45 @@
+"""The command `octoarm`: a file for every subcommand; slow imports wait until one runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from octoarm_agents import __version__
+from octoarm_agents.cli import benchmark, demo
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="octoarm",
+    help="The soft robotic octopus arm of Nakajima et al. (2013): demonstrations and benchmarks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("demo")(demo.demo)
+app.command("benchmark")(benchmark.benchmark)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"octoarm {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,69 @@
+"""Checks of option values, with messages that name value and allowed range."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from octoarm_env import ArmParameters
+
+__all__ = ["number_between", "output_file", "output_folder", "read_body"]
+
+
+def number_between(
+    low: float, high: float, unit: str = ""
+) -> Callable[[float | None], float | None]:
+    """A callback for an option: its number must lie between `low` and `high`, both allowed.
+
+    NaN is refused; None, an option not given, is let through.
+    """
+
+    def check(value: float | None) -> float | None:
+        if value is not None and not low <= value <= high:
+            of_unit = f" {unit}" if unit else ""
+            raise typer.BadParameter(
+                f"{value} is not between {low:,.12g} and {high:,.12g}{of_unit}."
+            )
+        return value
+
+    return check
+
+
+def output_folder(path: Path) -> Path:
+    """A callback for an option: make the folder; it must be writable."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise typer.BadParameter(f"cannot make folder {path}: {error.strerror}.") from None
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise typer.BadParameter(f"cannot write into folder {path}.")
+    return path
+
+
+def output_file(path: Path | None) -> Path | None:
+    """A callback for an option: make the file's folder; it must be writable, and the name free."""
+    if path is not None:
+        if path.is_dir():
+            raise typer.BadParameter(f"{path} is a folder, expected a file.")
+        output_folder(path.parent)
+    return path
+
+
+def read_body(path: Path | None) -> ArmParameters:
+    """The body in a JSON file, the default body for None."""
+    from octoarm_env import ArmParameters
+
+    if path is None:
+        return ArmParameters()
+    try:
+        return ArmParameters.from_json(path)
+    except OSError as error:
+        reason = f"cannot read {path}: {error.strerror}."
+    except ValueError as error:
+        reason = str(error)
+    raise typer.BadParameter(reason, param_hint="'--arm'")

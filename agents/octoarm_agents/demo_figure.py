@@ -1,0 +1,212 @@
+"""The figure of the demonstration."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+
+from octoarm_agents.demo import DemoResult
+
+__all__ = ["draw_demo"]
+
+# Okabe and Ito's colours, told apart by all common kinds of colour vision.
+BLUE, VERMILLION, GREEN, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#767676"
+
+_AROUND = 2.5
+"""Seconds shown of the outputs before the burst and after it."""
+
+
+def draw_demo(result: DemoResult) -> Figure:
+    """Draw what the arm did: orbit, shapes, weights, outputs around the burst, distance.
+
+    A run that ended early is drawn as far as it went.
+    """
+    layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, hspace=0.04)
+    figure = Figure(figsize=(9.0, 8.6), dpi=150, layout=layout)
+    FigureCanvasAgg(figure)
+    grid = GridSpec(3, 3, figure, height_ratios=(1.45, 1.0, 0.85), width_ratios=(1.15, 1.0, 1.0))
+    _draw_orbit(figure.add_subplot(grid[0, 0]), result)
+    _draw_shapes(figure.add_subplot(grid[0, 1]), result)
+    _draw_weights(figure.add_subplot(grid[0, 2]), result)
+    _draw_outputs(figure.add_subplot(grid[1, :]), result)
+    _draw_distance(figure.add_subplot(grid[2, :]), result)
+    if result.failure is not None:
+        message = f"Ended while {result.failure['stage']}: {result.failure['message']}"
+        figure.suptitle(textwrap.fill(message, 100), fontsize=9, color=VERMILLION)
+    for letter, axes in zip("abcde", figure.axes, strict=False):
+        axes.set_title(f"({letter})", loc="left", fontsize=10, fontweight="bold")
+        axes.tick_params(labelsize=8)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.label.set_fontsize(9)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _draw_orbit(axes: Axes, result: DemoResult) -> None:
+    """Both outputs against each other, over the target."""
+    begin = result.settings.burst_begin
+    outputs, step = result.outputs, result.parameters.timestep
+    closed = np.vstack((result.orbit, result.orbit[:1]))
+    axes.plot(*closed.T, color="black", linewidth=5.0, alpha=0.18, label="target orbit")
+    turn = round(result.target_period / step)
+    axes.plot(*outputs[begin:].T, color=VERMILLION, linewidth=0.7, label="burst and recovery")
+    axes.plot(*outputs[:begin][-2 * turn :].T, color=BLUE, linewidth=1.2, label="before the burst")
+    reach = 1.25 * max(result.settings.amplitude, float(np.abs(outputs).max(initial=0.0)) / 1.2)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, 1.62 * reach))
+    ticks = result.settings.amplitude * np.array((-1.0, -0.5, 0.0, 0.5, 1.0))
+    axes.set(xticks=ticks, yticks=ticks)
+    axes.set_aspect("equal")
+    axes.set_xlabel("output 1, θ (degrees)")
+    axes.set_ylabel("output 2, φ (degrees)")
+    axes.legend(fontsize=8, frameon=False, loc="upper center")
+
+
+def _draw_shapes(axes: Axes, result: DemoResult) -> None:
+    """The arm's centre line at equal intervals of one turn, seen along the y-axis, hanging."""
+    count = len(result.shapes)
+    if not count:
+        _say_missing(axes)
+    colours = _phase_colours(count)
+    for shape, colour in zip(result.shapes, colours, strict=True):
+        x, height = 100 * shape[:, 0], -100 * shape[:, 2]
+        axes.plot(x, height, color=colour, linewidth=1.6)
+        axes.plot(x[-1:], height[-1:], "o", color=colour, markersize=4)
+    axes.plot(0, 0, "s", color="black", markersize=6)
+    depth = 100 * float(result.shapes[:, :, 2].max(initial=0.3))
+    reach = max(0.5 * depth, 110 * float(np.abs(result.shapes[:, :, 0]).max(initial=0.0)))
+    axes.set(xlim=(-reach, reach), ylim=(-1.4 * depth, 0.05 * depth))
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (cm)")
+    axes.set_ylabel("height above the base (cm)")
+    if count:
+        handles = [
+            Line2D([], [], color=colours[k], marker="o", markersize=4, label=f"{k}/{count}")
+            for k in range(0, count, 2)
+        ]
+        axes.legend(
+            handles=handles,
+            title="phase (turns)",
+            title_fontsize=8,
+            fontsize=8,
+            frameon=False,
+            ncols=2,
+            columnspacing=1.0,
+            handlelength=1.2,
+            loc="lower center",
+            bbox_to_anchor=(0.5, 0.0),
+        )
+
+
+def _phase_colours(count: int) -> list[Any]:
+    """Colours from dark to light that every eye can order."""
+    return [colormaps["viridis"](0.92 * k / count) for k in range(count)]
+
+
+def _draw_weights(axes: Axes, result: DemoResult) -> None:
+    """The readout: all weights of both outputs by compartment."""
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    if result.readout is None:
+        _say_missing(axes)
+    else:
+        weights = result.readout.weights
+        compartment = 1 + np.arange(len(weights)) // 4
+        for output, colour, marker, shift in ((0, BLUE, "o", -0.16), (1, VERMILLION, "^", 0.16)):
+            axes.plot(
+                compartment + shift,
+                weights[:, output],
+                marker,
+                color=colour,
+                markersize=3.5,
+                markeredgewidth=0,
+                label=f"output {output + 1}",
+            )
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.22 * (high - low))
+        axes.legend(fontsize=8, frameon=False, ncols=2, loc="upper center", handletextpad=0.1)
+        axes.set_xticks([1, *range(5, int(compartment[-1]) + 1, 5)])
+    axes.set_xlabel("compartment")
+    axes.set_ylabel("readout weight (degrees/m)")
+
+
+def _draw_outputs(axes: Axes, result: DemoResult) -> None:
+    """Both outputs over time around the burst; time counts from the burst's begin."""
+    time = _time(result)
+    length = (result.settings.burst_end - result.settings.burst_begin) * result.parameters.timestep
+    begin, end = -_AROUND, length + _AROUND
+    if 0 < len(time) < result.settings.burst_begin:  # an early end is shown instead of the burst
+        begin, end = max(time[-1] - 2 * _AROUND, time[0]), time[-1] + 0.1
+    shown = (time >= begin) & (time <= end)
+    _shade_burst(axes, result)
+    amplitude = result.settings.amplitude
+    for level in (-amplitude, amplitude):
+        axes.axhline(level, color=GREY, linewidth=0.8, linestyle=":")
+    axes.plot(time[shown], result.outputs[shown, 0], color=BLUE, linewidth=1.1, label="output 1, θ")
+    axes.plot(
+        time[shown], result.outputs[shown, 1], color=VERMILLION, linewidth=1.1, label="output 2, φ"
+    )
+    axes.set_xlim(begin, end)
+    axes.set_xlabel("time since the burst began (s)")
+    axes.set_ylabel("output (degrees)")
+    _legend_above(axes)
+
+
+def _draw_distance(axes: Axes, result: DemoResult) -> None:
+    """Distance to the orbit over the whole closed loop."""
+    _shade_burst(axes, result)
+    time = _time(result)
+    turn = round(result.target_period / result.parameters.timestep)
+    axes.semilogy(
+        time,
+        np.maximum(result.distances, 1e-9),
+        color=GREEN,
+        alpha=0.35,
+        linewidth=0.5,
+        label="each step",
+    )
+    if len(time) > turn:
+        mean = np.convolve(result.distances, np.full(turn, 1 / turn), "valid")
+        axes.semilogy(
+            time[turn - 1 :], mean, color=GREEN, linewidth=1.6, label="mean of the last turn"
+        )
+    begin = -result.settings.burst_begin * result.parameters.timestep
+    axes.set_xlim(begin, begin + result.settings.steps * result.parameters.timestep)
+    axes.set_ylim(bottom=1e-5)
+    axes.set_xlabel("time since the burst began (s)")
+    axes.set_ylabel("distance to\ntarget orbit / R")
+    _legend_above(axes)
+
+
+def _say_missing(axes: Axes) -> None:
+    axes.text(0.5, 0.6, "not reached", transform=axes.transAxes, ha="center", color=GREY)
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
+
+
+def _shade_burst(axes: Axes, result: DemoResult) -> None:
+    settings = result.settings
+    length = (settings.burst_end - settings.burst_begin) * result.parameters.timestep
+    axes.axvspan(
+        0,
+        length,
+        color=ORANGE,
+        alpha=0.25,
+        linewidth=0,
+        label=f"white noise of ±{settings.burst:g}° on both outputs",
+    )
+
+
+def _time(result: DemoResult) -> Any:
+    """Seconds since the burst began, one for each output."""
+    steps = np.arange(len(result.outputs)) - result.settings.burst_begin
+    return steps * result.parameters.timestep

@@ -1,0 +1,46 @@
+"""What a result was computed with: versions, processor, operating system."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import octoarm_env
+
+__all__ = ["describe_machine", "package_versions"]
+
+
+def describe_machine() -> dict[str, Any]:
+    """Operating system, Python, processor and the instruction set that the physics chose."""
+    return {
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "processor": _processor(),
+        "cpu_count": os.cpu_count(),
+        "instruction_set": octoarm_env.instruction_set(),
+    }
+
+
+def package_versions(*names: str) -> dict[str, str | None]:
+    """Installed versions by distribution name; None for what is not installed."""
+    versions: dict[str, str | None] = {}
+    for name in names:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    return versions
+
+
+def _processor() -> str:
+    """The processor's own name where the system tells it, else its architecture."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
