@@ -23,14 +23,17 @@ from octoarm_env._core import DomainError, instruction_set
 from octoarm_env.arm import Arm, ArmState, Energy
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
+from octoarm_env.targets import LIMIT_CYCLES, LimitCycle
 from octoarm_env.teacher import TeacherPolicy
 
 __all__ = [
+    "LIMIT_CYCLES",
     "Arm",
     "ArmParameters",
     "ArmState",
     "DomainError",
     "Energy",
+    "LimitCycle",
     "OctoArmEnv",
     "TeacherPolicy",
     "instruction_set",

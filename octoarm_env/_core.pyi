@@ -12,6 +12,8 @@ __all__ = [
     "check_parameters",
     "default_parameters",
     "instruction_set",
+    "limit_cycle_orbit",
+    "limit_cycle_signal",
 ]
 
 class DomainError(RuntimeError):
@@ -28,6 +30,8 @@ class DomainError(RuntimeError):
 def default_parameters() -> str: ...
 def check_parameters(text: str) -> str: ...
 def instruction_set() -> str: ...
+def limit_cycle_orbit(name: str, amplitude: float) -> tuple[_Float, float]: ...
+def limit_cycle_signal(name: str, amplitude: float, steps: int) -> _Float: ...
 
 @final
 class Arm:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.parameters import ArmParameters
+from octoarm_env.targets import TARGET_NAMES, TargetName
 
 Float = NDArray[np.float64]
-TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
 
 
 class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
@@ -253,10 +253,11 @@ def _parameters(value: Any) -> ArmParameters:
 
 
 def _target(value: Any) -> str | list[list[float]]:
-    names = ("quadratic", "van_der_pol", "lissajous")
     if isinstance(value, str):
-        if value not in names:
-            raise ValueError(f"target = {value!r}: expected one of {names} or an array (T, 2)")
+        if value not in TARGET_NAMES:
+            raise ValueError(
+                f"target = {value!r}: expected one of {TARGET_NAMES} or an array (T, 2)"
+            )
         return value
     samples = np.asarray(value)
     if samples.dtype.kind not in "fiu":

@@ -22,15 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.reservoir import (
-    LIMIT_CYCLES,
-    LimitCycle,
-    Readout,
-    fit_readout,
-    orbit_distance,
-    turn_time,
-)
-from octoarm_env import Arm, ArmParameters, DomainError
+from octoarm_agents.reservoir import Readout, fit_readout, orbit_distance, turn_time
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
 __all__ = ["DEFAULTS", "DemoResult", "DemoSettings", "run_demo"]
 
@@ -155,7 +148,7 @@ class DemoResult:
     @property
     def target_period(self) -> float:
         """Period of the target [s]."""
-        return LIMIT_CYCLES[self.settings.target].period * self.parameters.timestep
+        return LIMIT_CYCLES[self.settings.target].period
 
     def scores(self) -> dict[str, Any]:
         """The figures: distances by window, held, recovered, recovery time, period, amplitude.
@@ -287,7 +280,7 @@ def _close_loop(run: _Run, cycle: LimitCycle, readout: Readout) -> None:
     burst = random.uniform(-settings.burst, settings.burst, (BURST_STEPS, 2))
     try:
         run.close("alone", readout, settings.burst_begin)
-        run.result.shapes = _shapes(run.arm, readout, cycle.period)
+        run.result.shapes = _shapes(run.arm, readout, cycle.period / run.arm.parameters.timestep)
         run.close("disturbed", readout, BURST_STEPS, burst)
         run.close("alone again", readout, settings.steps - settings.burst_end)
     finally:

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from octoarm_agents.reservoir import LIMIT_CYCLES, fit_readout, orbit_distance, turn_time
+from octoarm_agents.reservoir import fit_readout, orbit_distance, turn_time
+
+from octoarm_env import LIMIT_CYCLES, LimitCycle, OctoArmEnv
 
 QUADRATIC = LIMIT_CYCLES["quadratic"]
 
@@ -22,7 +24,7 @@ class TestEveryCycle:
 
     def test_the_signal_turns_with_the_period(self, cycle):
         settled = cycle.signal(20_000, 1.0)[3_000:]
-        assert turn_time(settled[:, 1]) == pytest.approx(cycle.period, rel=1e-5)
+        assert 1e-3 * turn_time(settled[:, 1]) == pytest.approx(cycle.period, rel=1e-5)
 
     def test_the_orbit_closes(self, cycle):
         orbit = cycle.orbit(1.0)
@@ -49,7 +51,8 @@ def test_the_oscillators_follow_their_equations():
         ),
     ):
         cycle = LIMIT_CYCLES[name]
-        x, y = (cycle.signal(3_000, 1.0) / cycle.scale(1.0)).T
+        signal = cycle.signal(3_000, 1.0)
+        x, y = 0.01 * signal.T / signal[0, 0]  # they start at (0.01, 0.01)
         for signal, rate in ((x, x1_rate), (y, x2_rate)):
             slope = (signal[2:] - signal[:-2]) / 0.02
             np.testing.assert_allclose(slope, rate(x, y)[1:-1], atol=2e-3)
@@ -58,8 +61,20 @@ def test_the_oscillators_follow_their_equations():
 def test_the_known_periods():
     # Van der Pol with μ = 1: 6.66328686 (e.g. Amore et al. 2018, doi:10.1016/j.amc.2018.02.012).
     # The signal's own Runge-Kutta method at 0.01 a step is off by less than 1e-7 of that.
-    assert LIMIT_CYCLES["van_der_pol"].period == pytest.approx(666.328686, rel=1e-6)
-    assert LIMIT_CYCLES["lissajous"].period == pytest.approx(200 * np.pi, rel=1e-12)
+    assert LIMIT_CYCLES["van_der_pol"].period == pytest.approx(0.666328686, rel=1e-9)
+    assert LIMIT_CYCLES["lissajous"].period == pytest.approx(0.2 * np.pi, rel=1e-12)
+
+
+def test_the_environment_follows_the_same_orbit():
+    for name, cycle in LIMIT_CYCLES.items():
+        env = OctoArmEnv(target=name, amplitude=12.0)
+        np.testing.assert_array_equal(env.orbit, cycle.orbit(12.0))
+        assert env.period == cycle.period
+
+
+def test_an_unknown_cycle_is_refused():
+    with pytest.raises(ValueError, match="square"):
+        LimitCycle("square")
 
 
 class TestOrbitDistance:

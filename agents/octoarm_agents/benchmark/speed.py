@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.reservoir.limit_cycles import QUADRATIC
-from octoarm_env import Arm, ArmParameters, OctoArmEnv, TeacherPolicy
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, OctoArmEnv, TeacherPolicy
 
 __all__ = ["SpeedResult", "Spread", "has_mujoco", "measure_speed"]
 
@@ -207,7 +206,7 @@ def _time_slice(contender: Contender, steps: int) -> float:
 
 def _contenders() -> list[Contender]:
     limit = 20_000
-    signal = QUADRATIC.signal(limit, _AMPLITUDE)
+    signal = LIMIT_CYCLES["quadratic"].signal(limit, _AMPLITUDE)
     dry = ArmParameters(
         water_density=0.0,
         arm_density=0.0,

@@ -1,7 +1,6 @@
 """The body as a reservoir: targets, linear readout, measures (section 2.2 of the paper)."""
 
-from octoarm_agents.reservoir.limit_cycles import LIMIT_CYCLES, LimitCycle
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.readout import Readout, fit_readout
 
-__all__ = ["LIMIT_CYCLES", "LimitCycle", "Readout", "fit_readout", "orbit_distance", "turn_time"]
+__all__ = ["Readout", "fit_readout", "orbit_distance", "turn_time"]

@@ -8,7 +8,12 @@ use crate::config::TargetName;
 /// Time of the oscillators per second of the arm: 0.01 a step of 1 ms (section 2.2.2).
 const OSCILLATOR_RATE: f64 = 10.0;
 /// Entries of the table of a named orbit.
-const TABLE: usize = 1024;
+const TABLE: usize = 2048;
+/// Oscillator time of a physics step (section 2.2.2).
+const TIME_PER_STEP: f64 = 0.01;
+/// Where the oscillators start: on the cycle they would throw a resting base by the whole amplitude
+/// within one physics step.
+const START: [f64; 2] = [0.01, 0.01];
 /// Step of the oscillators' integration, in their own time.
 const FINE_STEP: f64 = 1e-3;
 /// How long an oscillator runs before it counts as on its cycle; the slower of the two contracts by
@@ -64,7 +69,7 @@ fn cycle(slope: fn([f64; 2]) -> [f64; 2]) -> (Vec<[f64; 2]>, f64) {
             time += FINE_STEP;
         }
     };
-    let mut x = [0.01, 0.01];
+    let mut x = START;
     for _ in 0..(TRANSIENT / FINE_STEP) as usize {
         x = runge_kutta(slope, x, FINE_STEP);
     }
@@ -83,6 +88,30 @@ fn cycle(slope: fn([f64; 2]) -> [f64; 2]) -> (Vec<[f64; 2]>, f64) {
     (table, period)
 }
 
+fn slope_of(name: TargetName) -> Option<fn([f64; 2]) -> [f64; 2]> {
+    match name {
+        TargetName::Quadratic => Some(quadratic),
+        TargetName::VanDerPol => Some(van_der_pol),
+        TargetName::Lissajous => None,
+    }
+}
+
+/// Eq. 29 with f1 = 2, f2 = 1.
+fn lissajous(time: f64) -> [f64; 2] {
+    [sin_cos(2.0 * time).0, sin_cos(time).0]
+}
+
+/// One turn of a cycle in its own units, and its time.
+fn turn(name: TargetName) -> (Vec<[f64; 2]>, f64) {
+    match slope_of(name) {
+        Some(slope) => cycle(slope),
+        None => {
+            let turn = std::f64::consts::TAU;
+            ((0..TABLE).map(|k| lissajous(turn * k as f64 / TABLE as f64)).collect(), turn)
+        }
+    }
+}
+
 fn largest(table: &[[f64; 2]]) -> f64 {
     table.iter().flatten().fold(0.0, |most: f64, value| most.max(value.abs()))
 }
@@ -92,18 +121,30 @@ impl Orbit {
     /// `amplitude` degrees (section 2.2.2).
     #[must_use]
     pub fn named(name: TargetName, amplitude: f64) -> Self {
-        let (table, period) = match name {
-            TargetName::Quadratic => cycle(quadratic),
-            TargetName::VanDerPol => cycle(van_der_pol),
-            TargetName::Lissajous => {
-                let point = |k: usize| {
-                    let t = std::f64::consts::TAU * k as f64 / TABLE as f64;
-                    [sin_cos(2.0 * t).0, sin_cos(t).0]
-                };
-                ((0..TABLE).map(point).collect(), std::f64::consts::TAU)
-            }
-        };
+        let (table, period) = turn(name);
         Self::scaled(table, period / OSCILLATOR_RATE, amplitude)
+    }
+
+    /// One of the paper's limit cycles as the teacher gives it, one row a step of 1 ms: the
+    /// oscillators integrated by the fourth-order Runge–Kutta method at 0.01 a step from near the
+    /// origin, the Lissajous curve from its origin, scaled as [`Orbit::named`] \[degrees\].
+    #[must_use]
+    pub fn teacher_signal(name: TargetName, amplitude: f64, steps: usize) -> Vec<[f64; 2]> {
+        let scale = amplitude / largest(&turn(name).0);
+        let mut x = START;
+        (0..steps)
+            .map(|step| {
+                let now = match slope_of(name) {
+                    Some(slope) => {
+                        let now = x;
+                        x = runge_kutta(slope, x, TIME_PER_STEP);
+                        now
+                    }
+                    None => lissajous(TIME_PER_STEP * step as f64),
+                };
+                now.map(|value| scale * value)
+            })
+            .collect()
     }
 
     /// A user's orbit: one period, one row every `interval` seconds, degrees; scaled to `amplitude`

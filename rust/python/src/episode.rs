@@ -2,7 +2,8 @@
 
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods, PyUntypedArrayMethods};
 use octoarm_arm::ParameterError;
-use octoarm_env::{EpisodeConfig, Outcome};
+use octoarm_env::{EpisodeConfig, Orbit, Outcome, TargetName};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -33,6 +34,38 @@ fn action(value: &Bound<'_, PyAny>) -> PyResult<[f64; 2]> {
     }
     let (numbers, _) = numbers("action", value, &[Some(2)])?;
     Ok([numbers[0], numbers[1]])
+}
+
+fn named(name: &str) -> PyResult<TargetName> {
+    serde_json::from_value(name.into())
+        .map_err(|error| PyValueError::new_err(format!("target = {name:?}: {error}")))
+}
+
+fn table<'py>(py: Python<'py>, rows: &[[f64; 2]]) -> PyResult<Table<'py>> {
+    PyArray1::from_slice(py, rows.as_flattened()).reshape([rows.len(), 2])
+}
+
+/// One turn of a named limit cycle \[degrees\], and its time \[s\].
+#[pyfunction]
+pub(crate) fn limit_cycle_orbit<'py>(
+    py: Python<'py>,
+    name: &str,
+    amplitude: f64,
+) -> PyResult<(Table<'py>, f64)> {
+    let orbit = Orbit::named(named(name)?, amplitude);
+    Ok((table(py, orbit.table())?, orbit.period()))
+}
+
+/// A named limit cycle as the teacher gives it, one row a millisecond \[degrees\].
+#[pyfunction]
+pub(crate) fn limit_cycle_signal<'py>(
+    py: Python<'py>,
+    name: &str,
+    amplitude: f64,
+    steps: usize,
+) -> PyResult<Table<'py>> {
+    let name = named(name)?;
+    table(py, &py.detach(|| Orbit::teacher_signal(name, amplitude, steps)))
 }
 
 impl Episode {
@@ -142,8 +175,7 @@ impl Episode {
 
     #[getter]
     fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
-        let table = self.inner.swing().orbit.table();
-        PyArray1::from_slice(py, table.as_flattened()).reshape([table.len(), 2])
+        table(py, self.inner.swing().orbit.table())
     }
 
     #[getter]

@@ -16,6 +16,8 @@ mod _core {
     #[pymodule_export]
     use crate::episode::Episode;
     #[pymodule_export]
+    use crate::episode::{limit_cycle_orbit, limit_cycle_signal};
+    #[pymodule_export]
     use crate::errors::DomainError;
     use crate::errors::invalid;
 
