@@ -64,9 +64,12 @@ class Arm:
         actuator: ``"direct"``, the base moves linearly to the commanded angle within the physics
             step (the paper's position control), or ``"servo"``, through a critically damped
             second-order follower of natural frequency ``servo_frequency``.
+        undeformed: start with every spring at its rest length, which any body can do, instead of in
+            static equilibrium.
 
     Raises:
         ValueError: an unknown actuator, or a body without a static equilibrium.
+        TypeError: parameters that are not an ArmParameters.
 
     Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the
     domain of the model (a joint bent past 150 degrees, a strut or spring far out of shape); the arm
@@ -77,13 +80,15 @@ class Arm:
         self,
         parameters: ArmParameters | None = None,
         actuator: Literal["direct", "servo"] = "direct",
+        *,
+        undeformed: bool = False,
     ) -> None:
         self._parameters = ArmParameters() if parameters is None else parameters
         if not isinstance(self._parameters, ArmParameters):
             kind = type(parameters).__name__
             raise TypeError(f"parameters must be an ArmParameters, not {kind}")
         self._actuator: Literal["direct", "servo"] = actuator
-        self._core = _core.Arm(self._parameters.to_json(), actuator)
+        self._core = _core.Arm(self._parameters.to_json(), actuator, undeformed)
 
     @property
     def parameters(self) -> ArmParameters:
@@ -170,6 +175,8 @@ class Arm:
 
     @state.setter
     def state(self, state: ArmState) -> None:
+        if not isinstance(state, ArmState):
+            raise TypeError(f"state must be an ArmState, not {type(state).__name__}")
         self._core.set_state(state.coordinates, state.rates, state.base, state.steps)
 
     @property
@@ -182,7 +189,10 @@ class Arm:
 
     @muscles.setter
     def muscles(self, inputs: tuple[ArrayLike, ArrayLike]) -> None:
-        longitudinal, transverse = inputs
+        try:
+            longitudinal, transverse = inputs
+        except (TypeError, ValueError):
+            raise TypeError("muscles must be a pair of arrays (xi_c, delta_c)") from None
         self._core.set_muscles(longitudinal, transverse)
 
     def energy(self) -> Energy:
@@ -213,7 +223,7 @@ class Arm:
         }
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
-        self.__init__(saved["parameters"], saved["actuator"])  # type: ignore[misc]
+        self.__init__(saved["parameters"], saved["actuator"], undeformed=True)  # type: ignore[misc]
         self._core.set_muscles(*saved["muscles"])
         self._core.set_state(*saved["state"])
 

@@ -179,6 +179,10 @@ def test_bad_states_are_refused_and_change_nothing() -> None:
     folded[3, 1] = 2.7
     nan = good.rates.copy()
     nan[2, 2] = np.nan
+    with pytest.raises(TypeError, match="ArmState"):
+        arm.state = (good.coordinates, good.rates)
+    with pytest.raises(TypeError, match="muscles"):
+        arm.muscles = 3
     for state, words in [
         (broken(coordinates=good.coordinates[:-1]), r"state.coordinates has shape \(19, 7\)"),
         (broken(rates=nan), r"state.rates\[2, 2\]"),
@@ -188,6 +192,18 @@ def test_bad_states_are_refused_and_change_nothing() -> None:
         with pytest.raises(ValueError, match=words):
             arm.state = state
         assert arm.state == good
+
+
+def test_a_body_without_equilibrium_can_start_undeformed() -> None:
+    sideways = ArmParameters(gravity=(20.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="no static equilibrium"):
+        Arm(sideways)
+    arm = Arm(sideways, undeformed=True)
+    arm.run(np.zeros((20, 2)))
+    with pytest.raises(ValueError, match="no static equilibrium"):
+        arm.reset()
+    assert arm.time == pytest.approx(0.02)
+    assert pickle.loads(pickle.dumps(arm)).state == arm.state
 
 
 def test_bad_construction() -> None:

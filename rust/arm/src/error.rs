@@ -25,8 +25,8 @@ pub enum ParameterError {
         /// The shape that is needed.
         expected: String,
     },
-    /// Text that cannot be read.
-    #[error("cannot read the parameters: {0}")]
+    /// Text that cannot be read: which field, and why.
+    #[error("{0}")]
     Format(String),
     /// No static equilibrium was found for the body.
     #[error(
@@ -37,6 +37,23 @@ pub enum ParameterError {
         /// What the search ran into.
         reason: String,
     },
+}
+
+/// Reads JSON text; what is wrong with it is said with the name of the field.
+///
+/// # Errors
+/// [`ParameterError::Format`].
+pub fn read_json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, ParameterError> {
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let path = error.path().to_string();
+        let reason = error.into_inner().to_string();
+        // The text is mostly made by a program: its line and column say nothing to its user.
+        let reason = reason.split(" at line ").next().unwrap_or_default().to_owned();
+        ParameterError::Format(if path == "." { reason } else { format!("{path}: {reason}") })
+    })?;
+    reader.end().map_err(|error| ParameterError::Format(error.to_string()))?;
+    Ok(value)
 }
 
 /// The limits within which the model speaks of a soft arm, see [`crate::domain`].

@@ -22,6 +22,6 @@ pub use arm::{Arm, COMMAND_LIMIT, LinearReadout, check_command};
 pub use base::{Actuator, BaseMotion, Servo};
 pub use energy::Energy;
 pub use engine::InstructionSet;
-pub use error::{DomainError, Limit, ParameterError};
+pub use error::{DomainError, Limit, ParameterError, read_json};
 pub use parameters::{ArmParameters, ReferenceArea, VolumeForce};
 pub use state::{ArmState, COORDINATES};

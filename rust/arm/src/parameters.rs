@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::ParameterError;
+use crate::error::{ParameterError, read_json};
 
 /// Which area Eqs. 12–13 multiply (the paper's `A_r`), before `area_scale`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -246,8 +246,7 @@ impl ArmParameters {
     /// [`ParameterError::Format`] for text that is not JSON of the right shape (an unknown field is
     /// named), [`ParameterError::OutOfRange`] as [`ArmParameters::validate`].
     pub fn from_json(text: &str) -> Result<Self, ParameterError> {
-        let parameters: Self = serde_json::from_str(text)
-            .map_err(|error| ParameterError::Format(error.to_string()))?;
+        let parameters: Self = read_json(text)?;
         parameters.validate()?;
         Ok(parameters)
     }

@@ -1,6 +1,6 @@
 //! The settings of an episode, under the names that Python and files use.
 
-use octoarm_arm::{Actuator, ArmParameters, ParameterError};
+use octoarm_arm::{Actuator, ArmParameters, ParameterError, read_json};
 use serde::{Deserialize, Serialize};
 
 use crate::orbit::Orbit;
@@ -104,8 +104,7 @@ impl EpisodeConfig {
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range.
     pub fn from_json(text: &str) -> Result<Self, ParameterError> {
-        let config: Self = serde_json::from_str(text)
-            .map_err(|error| ParameterError::Format(error.to_string()))?;
+        let config: Self = read_json(text)?;
         config.validate()?;
         Ok(config)
     }
@@ -202,7 +201,8 @@ mod tests {
             (r#"{"control_period": 0.0}"#, "control_period = 0"),
             (r#"{"reward_width": 0.0}"#, "reward_width"),
             (r#"{"target": [[0.0, 1.0]]}"#, "target"),
-            (r#"{"target": "square"}"#, "Target"),
+            (r#"{"target": "square"}"#, "target: "),
+            (r#"{"arm": {"area_scale": "big"}}"#, "arm.area_scale: invalid type"),
             (r#"{"arm": {"timestep": -1.0}}"#, "timestep = -1"),
             (r#"{"colour": 1}"#, "colour"),
         ];

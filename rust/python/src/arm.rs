@@ -42,10 +42,11 @@ fn rows(flat: &[f64]) -> Vec<[f64; COORDINATES]> {
 #[pymethods]
 impl Arm {
     #[new]
-    fn new(py: Python<'_>, parameters: &str, actuator: &str) -> PyResult<Self> {
+    fn new(py: Python<'_>, parameters: &str, actuator: &str, undeformed: bool) -> PyResult<Self> {
         let actuator = self::actuator(actuator)?;
         let parameters = ArmParameters::from_json(parameters).map_err(invalid)?;
-        let inner = py.detach(|| octoarm_arm::Arm::new(parameters, actuator)).map_err(invalid)?;
+        let make = if undeformed { octoarm_arm::Arm::undeformed } else { octoarm_arm::Arm::new };
+        let inner = py.detach(|| make(parameters, actuator)).map_err(invalid)?;
         Ok(Self { inner })
     }
 

@@ -138,8 +138,7 @@ impl Episode {
     }
 
     fn load(&mut self, state: &str) -> PyResult<()> {
-        let state = serde_json::from_str(state)
-            .map_err(|error| invalid(ParameterError::Format(error.to_string())))?;
+        let state = octoarm_arm::read_json(state).map_err(invalid)?;
         self.inner.set_state(&state).map_err(invalid)
     }
 
