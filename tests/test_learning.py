@@ -10,6 +10,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
+import octoarm_env  # noqa: F401, registers the environment
+
 
 def strains(env: gym.Env) -> gym.Env:
     """Ten times the strain: numbers of the size that networks like."""
