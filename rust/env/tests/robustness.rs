@@ -58,25 +58,65 @@ fn four_hundred_thousand_random_steps() {
     }
 }
 
+/// Bang-bang actions at one frequency: the second axis lags by a share of a turn, and each axis has a
+/// size and a sign. Returns whether the arm stayed in its domain.
+fn bang_bang(
+    episode: &mut Episode,
+    frequency: f64,
+    (lag, theta, phi): (f64, f64, f64),
+    extremes: &mut Extremes,
+) -> bool {
+    let square = |turns: f64| if turns.rem_euclid(1.0) < 0.5 { 1.0 } else { -1.0 };
+    (0..1000).all(|step| {
+        let turns = f64::from(step) * 0.01 * frequency;
+        let action = [theta * square(turns), phi * square(turns + lag)];
+        let stays = episode.step(action).unwrap().failure.is_none();
+        watch(episode, extremes);
+        stays
+    })
+}
+
+const IN_PHASE: (f64, f64, f64) = (0.0, 1.0, 1.0);
+const ANTIPHASE: (f64, f64, f64) = (0.0, 1.0, -1.0);
+const QUARTER_LAG: (f64, f64, f64) = (0.25, 1.0, 1.0);
+
 #[test]
 fn bang_bang_from_half_a_hertz_to_ten() {
     let mut extremes = Extremes { bend: 0.0, shortest: 1.0, longest: 0.0 };
     let mut episode = Episode::new(EpisodeConfig::default()).unwrap();
     for tenth in (5..=100).step_by(5) {
         let frequency = f64::from(tenth) / 10.0;
-        for (lag, sign) in [(0.0, 1.0), (0.0, -1.0), (0.25, 1.0)] {
+        for pattern in [IN_PHASE, ANTIPHASE, QUARTER_LAG] {
             episode.reset();
-            for step in 0..1000 {
-                let turns = f64::from(step) * 0.01 * frequency;
-                let square = |turns: f64| if turns.rem_euclid(1.0) < 0.5 { 1.0 } else { -1.0 };
-                let outcome = episode.step([square(turns), sign * square(turns + lag)]).unwrap();
-                assert!(outcome.failure.is_none(), "{frequency} Hz: {}", outcome.failure.unwrap());
-                watch(&episode, &mut extremes);
-            }
+            let stays = bang_bang(&mut episode, frequency, pattern, &mut extremes);
+            assert!(stays, "{frequency} Hz, {pattern:?}");
         }
     }
     println!(
         "bang-bang: bend {:.3} rad, lengths {:.4} to {:.4} m",
         extremes.bend, extremes.shortest, extremes.longest
     );
+}
+
+/// The table in docs/body.md.
+#[test]
+#[ignore = "a survey of other action ranges, five minutes"]
+fn survey_of_action_ranges() {
+    let one_axis = [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)];
+    let lags = [(0.125, 1.0, 1.0), (0.375, 1.0, 1.0)];
+    let patterns = [&[IN_PHASE, ANTIPHASE, QUARTER_LAG], &one_axis[..], &lags[..]].concat();
+    for range in [24.0, 26.0, 28.0, 30.0, 33.0, 39.0] {
+        let config = EpisodeConfig { action_range: Some(range), ..EpisodeConfig::default() };
+        let mut episode = Episode::new(config).unwrap();
+        let mut extremes = Extremes { bend: 0.0, shortest: 1.0, longest: 0.0 };
+        let mut failures = 0;
+        for tenth in 5..=100 {
+            for pattern in &patterns {
+                episode.reset_to_phase(f64::from(tenth % 4) * 0.25).unwrap();
+                let frequency = f64::from(tenth) / 10.0;
+                failures += u32::from(!bang_bang(&mut episode, frequency, *pattern, &mut extremes));
+            }
+        }
+        println!("| {range}° | {:.2} rad | {failures} |", extremes.bend);
+    }
 }

@@ -22,9 +22,9 @@
 //! do not see the difference; the three that walk along the arm are generic over `L`.
 //!
 //! # Bits
-//! Every product-and-sum is an explicit fused multiply-add and no function of the platform's
-//! mathematical library is called, so the result is the same to the bit on every machine and for
-//! every instruction set.
+//! Fused multiply-adds are written out (the compiler contracts nothing by itself) and no function of
+//! the platform's mathematical library is called, so the result is the same to the bit on every
+//! machine and for every instruction set.
 
 pub(crate) mod articulated;
 pub(crate) mod kinematics;
