@@ -52,7 +52,7 @@ fn runge_kutta(slope: fn([f64; 2]) -> [f64; 2], x: [f64; 2], dt: f64) -> [f64; 2
 
 /// One turn of an oscillator's limit cycle from its upward crossing of x1 = 0, and the turn's time.
 fn cycle(slope: fn([f64; 2]) -> [f64; 2]) -> (Vec<[f64; 2]>, f64) {
-    // Runs to the next upward crossing; the last step is shortened onto it by the secant rule.
+    // Runs to the next upward crossing; the last step is shortened onto it by Newton's rule.
     let to_crossing = |mut x: [f64; 2]| {
         let mut time = 0.0;
         loop {
@@ -74,7 +74,9 @@ fn cycle(slope: fn([f64; 2]) -> [f64; 2]) -> (Vec<[f64; 2]>, f64) {
         x = runge_kutta(slope, x, FINE_STEP);
     }
     let (start, _) = to_crossing(x);
-    let (_, period) = to_crossing(start);
+    // A step away from the start, which rounding may have left on either side of x1 = 0.
+    let (_, period) = to_crossing(runge_kutta(slope, start, FINE_STEP));
+    let period = period + FINE_STEP;
     let substeps = 8;
     let dt = period / (TABLE * substeps) as f64;
     let mut x = start;
