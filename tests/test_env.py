@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_checker import data_equivalence as equivalent
 
 import octoarm_env
-from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy
+from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy, _core
 
 TARGETS = ["quadratic", "van_der_pol", "lissajous"]
 
@@ -253,6 +254,11 @@ def test_termination_reports_the_failure() -> None:
 def test_teacher_wants_this_environment() -> None:
     with pytest.raises(TypeError, match="OctoArm-v0"):
         TeacherPolicy(gym.make("CartPole-v1"))
+
+
+def test_defaults_are_those_of_the_episode_itself() -> None:
+    ours = json.loads(OctoArmEnv()._core.config)
+    assert ours == json.loads(_core.Episode("{}").config)
 
 
 def test_the_docstring_tells_every_argument() -> None:

@@ -34,7 +34,7 @@ def test_example_runs_as_printed(code: str, tmp_path: Path) -> None:
 
 def test_two_commands() -> None:
     assert len(COMMANDS) == 2
-    assert COMMANDS[0].endswith("octoarm demo")
+    assert COMMANDS[0].endswith("pip install . ./agents && octoarm demo")
     assert COMMANDS[1] in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 

@@ -1,29 +1,18 @@
 //! Where the model ends, it says so and stays where it was.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod reference;
+
 use std::f64::consts::FRAC_PI_4;
 
 use octoarm_arm::{
     Actuator, Arm, ArmParameters, ArmState, COMMAND_LIMIT, Limit, ParameterError, check_command,
     domain,
 };
+use reference::SplitMix64;
 
-/// Uniform in [−1, 1): Steele, Lea and Flood's SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^= z >> 31;
-        (z >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn command(&mut self, amplitude: f64) -> [f64; 2] {
-        [amplitude * self.next(), amplitude * self.next()]
-    }
+fn random_command(random: &mut SplitMix64, amplitude: f64) -> [f64; 2] {
+    [amplitude * random.symmetric(), amplitude * random.symmetric()]
 }
 
 fn resting(actuator: Actuator) -> Arm {
@@ -59,12 +48,12 @@ fn violent_commands_on_a_direct_base_end_in_a_domain_error() {
 
 fn fail_and_recover(amplitude: f64, most: u32, seed: u64) {
     let name = format!("±{amplitude}°, seed {seed}");
-    let mut random = Random(seed);
+    let mut random = SplitMix64(seed);
     let mut arm = resting(Actuator::Direct);
     let mut made = 0;
     let (before, failure) = loop {
         let before = bits(&arm);
-        match arm.step(random.command(amplitude)) {
+        match arm.step(random_command(&mut random, amplitude)) {
             Ok(()) => made += 1,
             Err(failure) => break (before, failure),
         }
@@ -216,12 +205,12 @@ impl Extremes {
 fn the_servo_keeps_random_commands_in_the_domain() {
     let mut extremes = Extremes::new();
     for seed in 1..=3 {
-        let mut random = Random(seed);
+        let mut random = SplitMix64(seed);
         let mut arm = resting(Actuator::Servo);
         let mut command = [0.0; 2];
         for step in 0..40_000 {
             if step % 10 == 0 {
-                command = random.command(60.0);
+                command = random_command(&mut random, 60.0);
             }
             arm.step(command).unwrap_or_else(|failure| panic!("seed {seed}: {failure}"));
             extremes.note(&arm);

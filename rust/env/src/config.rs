@@ -69,7 +69,7 @@ impl Default for EpisodeConfig {
     }
 }
 
-/// At 20 degrees whatever an agent does within the action bounds keeps the arm in its domain; at 30,
+/// At 20 degrees random and bang-bang actions keep the arm in its domain (docs/body.md); at 30,
 /// bang-bang actions near the arm's resonances fold it back on itself.
 const DEFAULT_AMPLITUDE: f64 = 20.0;
 /// The lead-compensated clock commands at most 1.08 times the amplitude of the three targets.

@@ -1,5 +1,5 @@
-//! Whatever an agent does within the action bounds of the default environment, the arm stays in its
-//! domain: 400,000 random steps and bang-bang actions from 0.5 to 10 Hz.
+//! Within the action bounds of the default environment the arm stays in its domain: 400,000 random
+//! steps and bang-bang actions from 0.5 to 10 Hz.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 use octoarm_env::{Episode, EpisodeConfig, Target, TargetName};

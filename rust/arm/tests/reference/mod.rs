@@ -551,12 +551,12 @@ pub fn random_state(parameters: &ArmParameters, seed: u64, scale: f64) -> ArmSta
     state
 }
 
-/// Steele, Lea and Flood's SplitMix64 generator.
-struct SplitMix64(u64);
+/// Steele, Lea and Flood's SplitMix64 generator, from its seed.
+pub struct SplitMix64(pub u64);
 
 impl SplitMix64 {
     /// Uniform in [−1, 1).
-    fn symmetric(&mut self) -> f64 {
+    pub fn symmetric(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
