@@ -1,7 +1,8 @@
 """The demonstration: the body learns a limit cycle and holds it alone (section 2.2.2, task 2).
 
 1. *Teacher forcing.* The base follows the target; the spring lengths are recorded.
-2. *Fit.* A linear readout without bias learns to give the target's next value from the lengths.
+2. *Fit.* A linear readout without bias learns to give the target's next value from the lengths,
+   and not to answer to what disturbances do to them (`octoarm_agents.reservoir.teaching`).
 3. *Closed loop.* From rest again, the target forces the arm a while; then the readout's outputs
    drive the base and nothing else does. Half-way, white noise is added to both outputs.
 
@@ -16,60 +17,45 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.experiments.cycle_settings import CYCLES
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.reservoir import Readout, fit_readout, orbit_distance, turn_time
+from octoarm_agents.reservoir import Readout, orbit_distance
+from octoarm_agents.reservoir.closed_loop import (
+    FORCED_STEPS,
+    WINDOW_STEPS,
+    ClosedLoop,
+    describe_domain_error,
+    recovery_steps,
+    score_window,
+)
+from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
-__all__ = ["DEFAULTS", "DemoResult", "DemoSettings", "run_demo"]
+__all__ = ["BURSTS", "FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
 
 Float = NDArray[np.float64]
 Advance = Callable[[str, int], None]
 
-TRAINING_STEPS = 70_000
-WASHOUT_STEPS = 10_000
-FORCED_STEPS = 5_000
 BURST_STEPS = 1_000
-WINDOW_STEPS = 5_000
-"""Section 2.2.2; the window is that of the scores before the burst and after it."""
+"""Section 3.2."""
 
 MINIMUM_STEPS = 2 * (WINDOW_STEPS + BURST_STEPS)
 """Closed-loop steps that leave a whole window on both sides of the burst."""
 
-HELD_DISTANCE = 0.05
-HELD_PERIOD = 0.01
-"""A cycle counts as held if the mean distance in the window is at most 5 % of the amplitude and the
-period is right within 1 %. The distance alone would not do: an arm at rest has distance zero from
-the Lissajous curve, which passes through the origin."""
-
 _CHUNK = 1_000
-"""Physics steps between two reports of progress; also bounds the memory for the lengths."""
+"""Physics steps of teacher forcing between two reports of progress."""
 
 _SHAPES = 8
 
 
-@dataclass(frozen=True)
-class Defaults:
-    """Amplitude [degrees], noise [m] and burst [degrees] with which an actuator shows the cycle."""
-
-    amplitude: float
-    noise: float
-    burst: float
-
-
-DEFAULTS: dict[str, Defaults] = {
-    # Measured on the default body, quadratic cycle. Direct base: held for 1,000,000 steps, distance
-    # constant; ν from 5e-5 to 2e-4 m and R from 40 to 42 degrees do as well. Bursts up to 0.4
-    # degrees were recovered from in 10 of 10 trials; noise renewed every millisecond on a base
-    # without inertia is a huge load.
-    "direct": Defaults(amplitude=40.0, noise=1e-4, burst=0.3),
-    # Servo: the paper's own 10 degrees of noise; 20 degrees too in 6 of 6 trials.
-    "servo": Defaults(amplitude=60.0, noise=3e-5, burst=10.0),
-}
+BURSTS = {"direct": 0.05, "servo": 10.0}
+"""Half width of the noise that each actuator shows the recovery from [degrees]. Noise renewed every
+millisecond is a huge load on a base without inertia; through the servo it is the paper's own."""
 
 
 @dataclass(frozen=True)
@@ -77,26 +63,18 @@ class DemoSettings:
     """What the demonstration does.
 
     Attributes:
-        target: name of the limit cycle.
-        actuator: how the base follows its command, see `octoarm_env.Arm`.
-        amplitude: R, the largest angle of the target [degrees].
-        noise: ν, the half width of the noise on the lengths that the fit allows for [m].
+        teaching: how the readout is taught: cycle, amplitude, actuator, noise.
         burst: ε, the half width of the noise on the outputs during the burst [degrees].
         steps: closed-loop physics steps, at least `MINIMUM_STEPS`.
         seed: of the burst's noise.
     """
 
-    target: str = "quadratic"
-    actuator: Literal["direct", "servo"] = "direct"
-    amplitude: float = DEFAULTS["direct"].amplitude
-    noise: float = DEFAULTS["direct"].noise
-    burst: float = DEFAULTS["direct"].burst
+    teaching: Teaching = CYCLES["quadratic"]["direct"]
+    burst: float = BURSTS["direct"]
     steps: int = 20_000
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.target not in LIMIT_CYCLES:
-            raise ValueError(f"target = {self.target!r}: expected one of {sorted(LIMIT_CYCLES)}")
         if self.steps < MINIMUM_STEPS:
             raise ValueError(f"steps = {self.steps}: expected at least {MINIMUM_STEPS}")
         if not (self.burst >= 0 and math.isfinite(self.burst)):
@@ -127,7 +105,7 @@ class DemoResult:
         distances: (T,), of the outputs to the orbit, in units of the amplitude.
         shapes: (phases, N + 1, 3), plane centres at equal intervals of one turn [m].
         failure: what ended the run early, None if it went to its end.
-        physics_steps: physics steps made.
+        physics_steps: physics steps made after the teaching.
         physics_seconds: wall-clock seconds these took.
         wall_seconds: wall-clock seconds of all, target and fit and scores included.
     """
@@ -148,7 +126,7 @@ class DemoResult:
     @property
     def target_period(self) -> float:
         """Period of the target [s]."""
-        return LIMIT_CYCLES[self.settings.target].period
+        return LIMIT_CYCLES[self.settings.teaching.target].period
 
     def scores(self) -> dict[str, Any]:
         """The figures: distances by window, held, recovered, recovery time, period, amplitude.
@@ -176,14 +154,15 @@ class DemoResult:
         seconds = self.physics_seconds
         return {
             "settings": {
-                "target": self.settings.target,
-                "actuator": self.settings.actuator,
-                "amplitude_degrees": self.settings.amplitude,
-                "noise_metres": self.settings.noise,
+                "target": self.settings.teaching.target,
+                "actuator": self.settings.teaching.actuator,
+                "amplitude_degrees": self.settings.teaching.amplitude,
+                "noise_metres": self.settings.teaching.noise,
+                "disturbances_degrees": list(self.settings.teaching.disturbances),
                 "burst_degrees": self.settings.burst,
                 "burst_steps": [self.settings.burst_begin, self.settings.burst_end],
-                "training_steps": TRAINING_STEPS,
-                "washout_steps": WASHOUT_STEPS,
+                "training_steps": self.settings.teaching.steps,
+                "washout_steps": self.settings.teaching.washout,
                 "forced_steps": FORCED_STEPS,
                 "closed_loop_steps": self.settings.steps,
                 "window_steps": WINDOW_STEPS,
@@ -203,8 +182,8 @@ class DemoResult:
             "readout": None
             if self.readout is None
             else {
-                "training_error_degrees": self.readout.training_error,
-                "weights_degrees_per_metre": self.readout.weights.tolist(),
+                "training_error_degrees": self.readout.training_error_,
+                "weights_degrees_per_metre": self.readout.weights_.tolist(),
             },
             "body": self.parameters.to_dict(),
             "versions": package_versions("octoarm-env", "octoarm-agents", "numpy", "matplotlib"),
@@ -215,24 +194,13 @@ class DemoResult:
         """Scores of the closed-loop steps from `begin` to `end`; None if they were not all made."""
         if len(self.outputs) < end:
             return None
-        outputs, distances = self.outputs[begin:end], self.distances[begin:end]
-        # x2 crosses zero upward once a turn on all three cycles.
-        ratio = turn_time(outputs[:, 1]) * self.parameters.timestep / self.target_period
-        mean = float(distances.mean())
-        return {
-            "mean_distance": mean,
-            "max_distance": float(distances.max()),
-            "period_ratio": ratio if math.isfinite(ratio) else None,
-            "amplitude_ratio": float(np.abs(outputs).max()) / self.settings.amplitude,
-            "held": mean <= HELD_DISTANCE and abs(ratio - 1) <= HELD_PERIOD,
-        }
+        turn = self.target_period / self.parameters.timestep
+        return score_window(self.outputs[begin:end], self.orbit, turn, self.distances[begin:end])
 
     def _recovery_time(self, before: dict[str, Any]) -> float:
-        """Seconds from the burst's end until the distance stays below twice its maximum before."""
-        band = max(2 * before["max_distance"], 0.01)
-        outside = np.flatnonzero(self.distances[self.settings.burst_end :] > band)
-        steps = int(outside[-1]) + 1 if len(outside) else 0
-        return steps * self.parameters.timestep
+        """Seconds from the burst's end until the cycle is reached again."""
+        since = self.distances[self.settings.burst_end :]
+        return recovery_steps(since, before["max_distance"]) * self.parameters.timestep
 
 
 def run_demo(
@@ -251,25 +219,21 @@ def run_demo(
         The result; if the arm left its domain, up to there, with `failure` set.
     """
     started = time.perf_counter()
-    cycle = LIMIT_CYCLES[settings.target]
-    signal = cycle.signal(TRAINING_STEPS + 1, settings.amplitude)
-    arm = Arm(parameters, settings.actuator)
-    result = DemoResult(
-        settings, arm.parameters, cycle.orbit(settings.amplitude), signal[:FORCED_STEPS]
-    )
+    teaching = settings.teaching
+    cycle = LIMIT_CYCLES[teaching.target]
+    signal = cycle.signal(FORCED_STEPS, teaching.amplitude)
+    arm = Arm(parameters, teaching.actuator)
+    result = DemoResult(settings, arm.parameters, cycle.orbit(teaching.amplitude), signal)
     run = _Run(arm, result, advance or (lambda stage, steps: None))
     try:
-        lengths = run.follow("teaching", signal[:-1])
-        result.readout = fit_readout(
-            lengths[WASHOUT_STEPS:], signal[1 + WASHOUT_STEPS :], settings.noise
-        )
-        del lengths
-        arm.reset()
-        run.follow("swinging in", signal[:FORCED_STEPS])
+        run.stage = "teaching"
+        result.readout = Lesson(arm.parameters, teaching).teach(teaching).readout
+        run.advance(teaching.steps)
+        run.follow("swinging in", signal)
         _close_loop(run, cycle, result.readout)
     except DomainError as error:
-        result.failure = _describe(run.stage, error)
-    result.distances = orbit_distance(result.outputs, result.orbit) / settings.amplitude
+        result.failure = {"stage": run.stage} | describe_domain_error(error)
+    result.distances = orbit_distance(result.outputs, result.orbit) / teaching.amplitude
     result.wall_seconds = time.perf_counter() - started
     return result
 
@@ -278,13 +242,31 @@ def _close_loop(run: _Run, cycle: LimitCycle, readout: Readout) -> None:
     settings = run.result.settings
     random = np.random.default_rng(settings.seed)
     burst = random.uniform(-settings.burst, settings.burst, (BURST_STEPS, 2))
+    # The demonstration shows what happens, jumps and rest too; only the domain ends it.
+    loop = ClosedLoop(
+        run.arm,
+        readout.weights_,
+        settings.teaching.amplitude,
+        jump=None,
+        rest=None,
+        advance=run.advance,
+    )
+    turn = cycle.period / run.arm.parameters.timestep
     try:
-        run.close("alone", readout, settings.burst_begin)
-        run.result.shapes = _shapes(run.arm, readout, cycle.period / run.arm.parameters.timestep)
-        run.close("disturbed", readout, BURST_STEPS, burst)
-        run.close("alone again", readout, settings.steps - settings.burst_end)
+        for stage, steps, noise in (
+            ("alone", settings.burst_begin, None),
+            ("disturbed", BURST_STEPS, burst),
+            ("alone again", settings.steps - settings.burst_end, None),
+        ):
+            if stage == "disturbed":
+                run.result.shapes = _shapes(run.arm, readout, turn)
+            run.stage = stage
+            run.timed(loop.run, steps, noise)
+            if loop.failure is not None:
+                run.result.failure = {"stage": stage} | loop.failure
+                break
     finally:
-        run.result.outputs = np.concatenate(run.outputs)
+        run.result.outputs = loop.outputs
 
 
 class _Run:
@@ -294,37 +276,22 @@ class _Run:
         self.arm = arm
         self.result = result
         self.stage = ""
-        self.outputs: list[Float] = [np.empty((0, 2))]
         self._advance = advance
 
-    def follow(self, stage: str, angles: Float) -> Float:
-        """Command (T, 2) angles [degrees]; the lengths (T, springs) [m]."""
+    def advance(self, steps: int) -> None:
+        """Report physics steps just made."""
+        self._advance(self.stage, steps)
+
+    def follow(self, stage: str, angles: Float) -> None:
+        """Command (T, 2) angles [degrees]."""
         self.stage = stage
-        chunks = []
         for begin in range(0, len(angles), _CHUNK):
             chunk = angles[begin : begin + _CHUNK]
-            chunks.append(self._timed(self.arm.run, chunk))
-            self._advance(stage, len(chunk))
-        return np.concatenate(chunks)
+            self.timed(self.arm.run, chunk)
+            self.advance(len(chunk))
 
-    def close(
-        self, stage: str, readout: Readout, steps: int, perturbation: Float | None = None
-    ) -> None:
-        """Let the readout drive the base; its outputs, also those before a failure, are kept."""
-        self.stage = stage
-        for begin in range(0, steps, _CHUNK):
-            count = min(_CHUNK, steps - begin)
-            noise = None if perturbation is None else perturbation[begin : begin + count]
-            try:
-                outputs, _ = self._timed(self.arm.run_closed_loop, readout.weights, count, noise)
-            except DomainError as error:
-                if error.outputs is not None:
-                    self.outputs.append(error.outputs)
-                raise
-            self.outputs.append(outputs)
-            self._advance(stage, count)
-
-    def _timed(self, move: Callable[..., Any], *arguments: Any) -> Any:
+    def timed(self, move: Callable[..., Any], *arguments: Any) -> Any:
+        """Call what moves the arm; its steps and seconds are added to the result's."""
         before = self.arm.state.steps
         started = time.perf_counter()
         try:
@@ -340,12 +307,6 @@ def _shapes(arm: Arm, readout: Readout, period: float) -> Float:
     shapes = [probe.positions]
     steps = np.diff(np.round(np.arange(_SHAPES) * period / _SHAPES).astype(int))
     for count in steps:
-        probe.run_closed_loop(readout.weights, int(count))
+        probe.run_closed_loop(readout.weights_, int(count))
         shapes.append(probe.positions)
     return np.stack(shapes)
-
-
-def _describe(stage: str, error: DomainError) -> dict[str, Any]:
-    """A domain error as plain numbers."""
-    names = ("limit", "compartment", "value", "low", "high", "time")
-    return {"stage": stage, "message": str(error)} | {name: getattr(error, name) for name in names}

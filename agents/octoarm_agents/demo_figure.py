@@ -8,18 +8,22 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from octoarm_agents.demo import DemoResult
+from octoarm_agents.experiments.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILLION,
+    new_figure,
+    write_letters,
+)
 
 __all__ = ["draw_demo"]
-
-# Okabe and Ito's colours, told apart by all common kinds of colour vision.
-BLUE, VERMILLION, GREEN, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#767676"
 
 _AROUND = 2.5
 """Seconds shown of the outputs before the burst and after it."""
@@ -30,9 +34,7 @@ def draw_demo(result: DemoResult) -> Figure:
 
     A run that ended early is drawn as far as it went.
     """
-    layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, hspace=0.04)
-    figure = Figure(figsize=(9.0, 8.6), dpi=150, layout=layout)
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0, 8.6)
     grid = GridSpec(3, 3, figure, height_ratios=(1.45, 1.0, 0.85), width_ratios=(1.15, 1.0, 1.0))
     _draw_orbit(figure.add_subplot(grid[0, 0]), result)
     _draw_shapes(figure.add_subplot(grid[0, 1]), result)
@@ -42,12 +44,7 @@ def draw_demo(result: DemoResult) -> Figure:
     if result.failure is not None:
         message = f"Ended while {result.failure['stage']}: {result.failure['message']}"
         figure.suptitle(textwrap.fill(message, 100), fontsize=9, color=VERMILLION)
-    for letter, axes in zip("abcde", figure.axes, strict=False):
-        axes.set_title(f"({letter})", loc="left", fontsize=10, fontweight="bold")
-        axes.tick_params(labelsize=8)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.label.set_fontsize(9)
-        axes.spines[["top", "right"]].set_visible(False)
+    write_letters(figure.axes)
     return figure
 
 
@@ -60,9 +57,11 @@ def _draw_orbit(axes: Axes, result: DemoResult) -> None:
     turn = round(result.target_period / step)
     axes.plot(*outputs[begin:].T, color=VERMILLION, linewidth=0.7, label="burst and recovery")
     axes.plot(*outputs[:begin][-2 * turn :].T, color=BLUE, linewidth=1.2, label="before the burst")
-    reach = 1.25 * max(result.settings.amplitude, float(np.abs(outputs).max(initial=0.0)) / 1.2)
+    reach = 1.25 * max(
+        result.settings.teaching.amplitude, float(np.abs(outputs).max(initial=0.0)) / 1.2
+    )
     axes.set(xlim=(-reach, reach), ylim=(-reach, 1.62 * reach))
-    ticks = result.settings.amplitude * np.array((-1.0, -0.5, 0.0, 0.5, 1.0))
+    ticks = result.settings.teaching.amplitude * np.array((-1.0, -0.5, 0.0, 0.5, 1.0))
     axes.set(xticks=ticks, yticks=ticks)
     axes.set_aspect("equal")
     axes.set_xlabel("output 1, θ (degrees)")
@@ -117,7 +116,7 @@ def _draw_weights(axes: Axes, result: DemoResult) -> None:
     if result.readout is None:
         _say_missing(axes)
     else:
-        weights = result.readout.weights
+        weights = result.readout.weights_
         compartment = 1 + np.arange(len(weights)) // 4
         for output, colour, marker, shift in ((0, BLUE, "o", -0.16), (1, VERMILLION, "^", 0.16)):
             axes.plot(
@@ -146,7 +145,7 @@ def _draw_outputs(axes: Axes, result: DemoResult) -> None:
         begin, end = max(time[-1] - 2 * _AROUND, time[0]), time[-1] + 0.1
     shown = (time >= begin) & (time <= end)
     _shade_burst(axes, result)
-    amplitude = result.settings.amplitude
+    amplitude = result.settings.teaching.amplitude
     for level in (-amplitude, amplitude):
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle=":")
     axes.plot(time[shown], result.outputs[shown, 0], color=BLUE, linewidth=1.1, label="output 1, θ")

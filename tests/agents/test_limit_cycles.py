@@ -1,8 +1,8 @@
-"""The paper's limit cycles, the distance to an orbit, and the readout."""
+"""The paper's limit cycles and the distance to an orbit."""
 
 import numpy as np
 import pytest
-from octoarm_agents.reservoir import fit_readout, orbit_distance, turn_time
+from octoarm_agents.reservoir import orbit_distance, turn_time
 
 from octoarm_env import LIMIT_CYCLES, LimitCycle, OctoArmEnv
 
@@ -110,41 +110,3 @@ class TestOrbitDistance:
 def test_a_signal_that_does_not_turn_has_no_period():
     assert np.isnan(turn_time(np.ones(100)))
     assert np.isnan(turn_time(np.empty(0)))
-
-
-class TestReadout:
-    def test_it_finds_the_weights_of_a_linear_map(self):
-        random = np.random.default_rng(1)
-        lengths = 0.02 + 1e-3 * random.standard_normal((500, 8))
-        weights = 100 * random.standard_normal((8, 2))
-        readout = fit_readout(lengths, lengths @ weights)
-        np.testing.assert_allclose(readout.weights, weights, rtol=1e-9)
-        np.testing.assert_allclose(readout.predict(lengths), lengths @ weights, rtol=1e-12)
-        assert readout.training_error < 1e-10
-
-    def test_its_noise_is_that_of_many_noisy_rows(self):
-        random = np.random.default_rng(2)
-        lengths = 0.02 + 1e-3 * random.standard_normal((400, 6))
-        targets = np.stack((np.sin(500 * lengths[:, 0]), lengths[:, 1] * 300), axis=1)
-        noise = 1e-3
-        copies = 1000
-        noisy = np.tile(lengths, (copies, 1))
-        noisy += random.uniform(-noise, noise, noisy.shape)
-        sampled = np.linalg.lstsq(noisy, np.tile(targets, (copies, 1)))[0]
-        expected = fit_readout(lengths, targets, noise).weights
-        # Drawn noise leaves an error of the order 1/sqrt(400,000 rows).
-        assert np.abs(sampled - expected).max() < 0.01 * np.abs(expected).max()
-
-    def test_directions_without_signal_get_no_weight(self):
-        lengths = np.random.default_rng(3).standard_normal((100, 4))
-        lengths = np.hstack((lengths, lengths[:, :1]))
-        weights = fit_readout(lengths, lengths[:, :1]).weights
-        np.testing.assert_allclose(weights[:, 0], [0.5, 0, 0, 0, 0.5], atol=1e-12)
-
-    @pytest.mark.parametrize(
-        ("rows", "target_rows", "noise", "message"),
-        [(50, 49, 0.0, "rows"), (3, 3, 0.0, "3 rows"), (50, 50, -1.0, "noise")],
-    )
-    def test_what_cannot_be_fitted_is_refused(self, rows, target_rows, noise, message):
-        with pytest.raises(ValueError, match=message):
-            fit_readout(np.ones((rows, 4)), np.ones((target_rows, 2)), noise)

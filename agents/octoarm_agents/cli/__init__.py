@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from octoarm_agents import __version__
-from octoarm_agents.cli import benchmark, demo
+from octoarm_agents.cli import analyse, benchmark, calibrate, demo, reproduce
 
 __all__ = ["app", "main"]
 
@@ -20,6 +20,9 @@ app = typer.Typer(
 )
 app.command("demo")(demo.demo)
 app.command("benchmark")(benchmark.benchmark)
+app.command("reproduce")(reproduce.reproduce)
+app.add_typer(analyse.app, name="analyse")
+app.add_typer(calibrate.app, name="calibrate")
 
 
 def _print_version(wanted: bool) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _ADVICE = {
     "teaching": "The target itself is too much for this body: try a smaller --range.",
     "swinging in": "The target itself is too much for this body: try a smaller --range.",
-    "alone": "The readout does not hold this cycle: try another --range or --noise.",
+    "alone": "The readout does not hold this cycle: search for one with octoarm calibrate cycle.",
     "disturbed": "The noise is too strong: try a smaller --burst.",
     "alone again": "The arm did not come back from the noise: try a smaller --burst.",
 }
@@ -45,7 +45,7 @@ def demo(
             "--range",
             "-R",
             help="R: largest angle of the target in degrees.",
-            show_default="40, servo 60",
+            show_default="the cycle's own",
             callback=number_between(0.1, 360.0, "degrees"),
         ),
     ] = None,
@@ -54,16 +54,24 @@ def demo(
         typer.Option(
             help="ν: half width in metres of the noise on the spring lengths "
             "that the readout is fitted for.",
-            show_default="1e-4, servo 3e-5",
+            show_default="the cycle's own",
             callback=number_between(0.0, 0.01, "metres"),
         ),
     ] = None,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="Teach as the paper does: allow for white noise on the lengths only, "
+            "not for what disturbances of the base do to them.",
+        ),
+    ] = False,
     burst: Annotated[
         float | None,
         typer.Option(
             help="ε: half width in degrees of the white noise on both outputs, "
             "for 1000 steps half-way.",
-            show_default="0.3, servo 10",
+            show_default="0.05, servo 10",
             callback=number_between(0.0, 360.0, "degrees"),
         ),
     ] = None,
@@ -92,28 +100,35 @@ def demo(
 
     Exit status: 0 if the cycle was held, and again after the burst; 1 if not; 2 for bad options.
     """
+    from dataclasses import replace
+
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from octoarm_agents import demo as arm_demo
     from octoarm_agents.demo_figure import draw_demo
+    from octoarm_agents.experiments.cycle_settings import CYCLES
     from octoarm_agents.files import write_atomically, write_json
+    from octoarm_agents.reservoir.teaching import TIME_SCALES
 
     parameters = read_body(arm)
-    defaults = arm_demo.DEFAULTS[actuator]
+    teaching = CYCLES[target][actuator]
+    if amplitude is not None:
+        teaching = replace(teaching, amplitude=amplitude)
+    if noise is not None:
+        teaching = replace(teaching, noise=noise)
+    if plain:
+        teaching = replace(teaching, disturbances=(0.0,) * len(TIME_SCALES))
     settings = arm_demo.DemoSettings(
-        target=target,
-        actuator=actuator,
-        amplitude=defaults.amplitude if amplitude is None else amplitude,
-        noise=defaults.noise if noise is None else noise,
-        burst=defaults.burst if burst is None else burst,
+        teaching=teaching,
+        burst=arm_demo.BURSTS[actuator] if burst is None else burst,
         steps=steps,
         seed=seed,
     )
     console, errors = Console(), Console(stderr=True)
     columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=errors, transient=True) as progress:
-        total = arm_demo.TRAINING_STEPS + arm_demo.FORCED_STEPS + steps
+        total = teaching.steps + arm_demo.FORCED_STEPS + steps
         task = progress.add_task("teaching", total=total)
 
         def advance(stage: str, count: int) -> None:
@@ -143,10 +158,10 @@ def demo(
 def _table(result: DemoResult, scores: dict[str, Any]) -> Table:
     from rich.table import Table
 
-    settings = result.settings
+    teaching = result.settings.teaching
     table = Table(
-        title=f"{settings.target} cycle, {settings.actuator} base, R = {settings.amplitude:g}°,"
-        f" ν = {settings.noise:g} m, ε = {settings.burst:g}°",
+        title=f"{teaching.target} cycle, {teaching.actuator} base, R = {teaching.amplitude:g}°,"
+        f" ν = {teaching.noise:g} m, ε = {result.settings.burst:g}°",
         show_header=False,
     )
     table.add_column("")

@@ -173,7 +173,9 @@ fn the_undeformed_arm_has_every_spring_at_rest_length() {
 
 #[test]
 fn a_released_arm_settles_at_the_equilibrium() {
-    let hanging = ArmParameters::default();
+    // With light planes and little water an arm settles soon; its posture is the same.
+    let hanging =
+        ArmParameters { plane_mass: 0.0, area_scale: 1.0, lift_scale: 1.0, ..Default::default() };
     // Sideways only a short arm: the whole one swings for minutes, its dampers hardly feel bending.
     let bodies = [
         ("hanging", hanging.clone()),

@@ -126,8 +126,8 @@ fn a_swing_about_one_axis_stays_in_its_plane() {
             }
         }
         // Not zero to the bit: a fused r3 q3 − (r1 q1) leaves the rounding of one product. Measured:
-        // 3e-16 rad out of the plane, 9e-18 m between the radii.
-        assert!(bend < 1e-14 && skew < 1e-16, "{bend:e} rad, {skew:e} m while {swung} rad");
+        // 5e-14 rad out of the plane, 9e-17 m between the radii, with the heaviest planes.
+        assert!(bend < 1e-12 && skew < 1e-15, "{bend:e} rad, {skew:e} m while {swung} rad");
         assert!(swung > 0.1, "{swung} rad");
     }
 }

@@ -1,0 +1,87 @@
+"""The echo state property (Jaeger 2001): the input washes the initial state out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["EchoState", "fit_decay"]
+
+Float = NDArray[np.float64]
+
+FORGOTTEN = 1e-3
+"""The initial states count as forgotten once their distance is this share of what it was."""
+
+_FLOOR = 1e-9
+"""Share of the first distance below which rounding, not the body, may decide."""
+
+
+@dataclass(frozen=True, eq=False)
+class EchoState:
+    """Distance of two trajectories with different initial states and the same input.
+
+    Attributes:
+        distances: (samples,), the first before any input.
+        interval: between two samples [s].
+        decay_time: time in which the distance falls by the factor e, from the fit [s]; None if it
+            does not fall. A mean over the whole fall: fast modes go first, and what is left goes at
+            the rate of the largest Lyapunov exponent.
+        fitted_samples: samples that the fit used, the first ones.
+        verdict: "forgotten" if the distance ended below `FORGOTTEN` of what it was at first,
+            "fading" if at least it fell by the factor e in the time there was, else "kept".
+    """
+
+    distances: Float
+    interval: float
+    decay_time: float | None
+    fitted_samples: int
+    verdict: Literal["forgotten", "fading", "kept"]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All as plain numbers for a JSON file; units in the keys."""
+        return {
+            "verdict": self.verdict,
+            "decay_time_seconds": self.decay_time,
+            "fitted_samples": self.fitted_samples,
+            "final_over_first_distance": float(self.distances[-1] / self.distances[0]),
+            "interval_seconds": self.interval,
+            "distances": self.distances.tolist(),
+        }
+
+
+def fit_decay(distances: Float, interval: float) -> EchoState:
+    """Fit an exponential to distances, least squares of their logarithms.
+
+    Args:
+        distances: (samples,), at least 10, the first not zero.
+        interval: between two samples [s].
+
+    Raises:
+        ValueError: too few distances, or trajectories that start together.
+    """
+    if len(distances) < 10:
+        raise ValueError(f"{len(distances)} distances: expected at least 10")
+    if not distances[0] > 0:
+        raise ValueError("the two trajectories start from the same state")
+    low = np.flatnonzero(distances <= _FLOOR * distances[0])
+    count = int(low[0]) if len(low) else len(distances)
+    slope = -math.inf
+    if count >= 2:
+        slope = float(np.polyfit(interval * np.arange(count), np.log(distances[:count]), 1)[0])
+    decay = 0.0 if math.isinf(slope) else -1 / slope if slope < 0 else None
+    verdict: Literal["forgotten", "fading", "kept"] = "kept"
+    if distances[-1] < FORGOTTEN * distances[0]:
+        verdict = "forgotten"
+    elif decay is not None and decay <= interval * (len(distances) - 1):
+        verdict = "fading"
+    return EchoState(
+        distances=distances,
+        interval=interval,
+        decay_time=decay,
+        fitted_samples=count,
+        verdict=verdict,
+    )

@@ -1,0 +1,170 @@
+"""The figure of an analysis: memory, processing capacity, dimension, and how the start is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
+
+from octoarm_agents.analysis.measures import Measures
+from octoarm_agents.analysis.survey import ArmSurvey
+
+__all__ = ["BLUE", "GREEN", "GREY", "VERMILLION", "degree_colours", "draw_analysis", "finish"]
+
+# Okabe and Ito's colours, told apart by all common kinds of colour vision.
+BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#767676"
+
+
+def draw_analysis(measures: Measures, survey: ArmSurvey | None = None) -> Figure:
+    """Draw the measures of a recording; of a whole survey also ranks and the echo-state test."""
+    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
+    figure = Figure(figsize=(9.6, 7.2), dpi=150, layout=layout)
+    FigureCanvasAgg(figure)
+    memory, processing, dimension, last = figure.subplots(2, 2).ravel()
+    _draw_memory(memory, measures)
+    _draw_processing(processing, measures)
+    _draw_dimension(dimension, measures, survey)
+    if survey is None:
+        _draw_degrees(last, measures)
+    else:
+        _draw_echo(last, survey)
+    finish(figure)
+    return figure
+
+
+def finish(figure: Figure) -> None:
+    """Letters and like sizes for all panels."""
+    for letter, axes in zip("abcdefgh", figure.axes, strict=False):
+        axes.set_title(f"({letter})", loc="left", fontsize=10, fontweight="bold")
+        axes.tick_params(labelsize=8)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.label.set_fontsize(9)
+        axes.spines[["top", "right"]].set_visible(False)
+
+
+def degree_colours(count: int) -> list[tuple[float, float, float, float]]:
+    """Colours for the degrees 1 … `count`, from dark to light, that every eye can order."""
+    return [colormaps["viridis"](0.92 * k / max(count - 1, 1)) for k in range(count)]
+
+
+def _draw_memory(axes: Axes, measures: Measures) -> None:
+    memory = measures.memory
+    for column, capacities in enumerate(memory.capacities):
+        several = f", input {column + 1}" if len(memory.capacities) > 1 else ""
+        delays = np.arange(len(capacities))
+        axes.plot(
+            delays,
+            memory.held_out[column],
+            "o",
+            color=VERMILLION,
+            markersize=4,
+            markerfacecolor="none",
+            label="on held-out rows" if column == 0 else None,
+        )
+        axes.plot(
+            delays,
+            capacities,
+            color=degree_colours(len(memory.capacities))[column] if several else BLUE,
+            linewidth=1.4,
+            label=f"all rows, without bias{several}",
+        )
+    axes.set(xlim=(-0.5, measures.settings.max_delay + 0.5), ylim=(-0.02, 1.05))
+    axes.set_xlabel("delay k (rows)")
+    axes.set_ylabel("memory capacity $MC_k$")
+    _legend(axes, f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}")
+
+
+def _draw_processing(axes: Axes, measures: Measures) -> None:
+    processing = measures.processing
+    table = processing.by_degree_and_delay
+    delays = np.arange(table.shape[1])
+    base = np.zeros(len(delays))
+    for degree, (row, colour) in enumerate(
+        zip(table, degree_colours(len(table)), strict=True), start=1
+    ):
+        axes.bar(
+            delays,
+            row,
+            bottom=base,
+            width=0.9,
+            color=colour,
+            label=f"degree {degree}: {row.sum():.2f} (delays to {processing.delays[degree - 1]})",
+        )
+        base += row
+    # A false alarm at a large delay shall not press all else to the side.
+    used = np.flatnonzero(base > 0.01 * base.max())
+    axes.set_xlim(-0.6, (used[-1] if len(used) else 0) + 2.5)
+    axes.set_xlabel("oldest input in the function (rows)")
+    axes.set_ylabel("information processing capacity")
+    _legend(axes, f"sum = {processing.total:.2f} of at most {processing.expected_maximum:.2f}")
+
+
+def _draw_dimension(axes: Axes, measures: Measures, survey: ArmSurvey | None) -> None:
+    values, tolerance = measures.singular_values, measures.settings.tolerance
+    _singular_values(axes, values / values[0], BLUE, f"states ({measures.rank_at_tolerance})")
+    if survey is not None:
+        ranks = survey.ranks
+        first = ranks.kernel_singular_values[0]
+        for name, rank, singular, colour in (
+            ("different", ranks.kernel, ranks.kernel_singular_values, GREEN),
+            ("similar", ranks.generalisation, ranks.generalisation_singular_values, VERMILLION),
+        ):
+            _singular_values(axes, singular / first, colour, f"{name} streams ({rank})")
+    axes.axhline(tolerance, color=GREY, linewidth=0.9, linestyle=":")
+    axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-9))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("index")
+    axes.set_ylabel("singular value / largest")
+    _legend(axes, f"(number above {tolerance:g})")
+
+
+def _singular_values(axes: Axes, values: np.ndarray, colour: str, label: str) -> None:
+    index = np.arange(1, len(values) + 1)
+    shown = values > 0
+    axes.semilogy(index[shown], values[shown], ".-", color=colour, linewidth=1.0, label=label)
+
+
+def _draw_degrees(axes: Axes, measures: Measures) -> None:
+    processing = measures.processing
+    sums = processing.by_degree
+    degrees = np.arange(1, len(sums) + 1)
+    axes.bar(degrees, sums, color=degree_colours(len(sums)))
+    for degree, value, tried, counted in zip(
+        degrees,
+        sums,
+        processing.targets_by_degree,
+        processing.significant_by_degree,
+        strict=True,
+    ):
+        axes.text(int(degree), value, f"{counted} of {tried}", ha="center", va="bottom", fontsize=8)
+    axes.set(xticks=degrees, ylim=(0, 1.15 * max(float(sums.max()), 0.1)))
+    axes.set_xlabel("total degree (labels: functions that count)")
+    axes.set_ylabel("sum of capacities")
+
+
+def _draw_echo(axes: Axes, survey: ArmSurvey) -> None:
+    echo, lyapunov = survey.echo, survey.lyapunov
+    time = echo.interval * np.arange(len(echo.distances))
+    # Beyond the fit there is only rounding.
+    end = min(int(1.2 * echo.fitted_samples) + 10, len(time))
+    shown = (echo.distances > 0) & (time < time[end - 1])
+    axes.semilogy(time[shown], echo.distances[shown], color=BLUE, linewidth=1.3, label="distance")
+    if echo.decay_time:
+        fitted = time[: echo.fitted_samples]
+        logs = np.log(echo.distances[: echo.fitted_samples])
+        line = np.exp(logs.mean() - (fitted - fitted.mean()) / echo.decay_time)
+        label = f"fit, decay time {echo.decay_time:.2f} s"
+        axes.semilogy(fitted, line, "--", color=VERMILLION, linewidth=1.2, label=label)
+    axes.set_xlim(0, time[end - 1])
+    axes.set_xlabel("time since the common input began (s)")
+    axes.set_ylabel("distance between two starts\n(natural sizes)")
+    error = lyapunov.standard_error
+    _legend(axes, f"Lyapunov exponent {lyapunov.value:.3f} ± {error:.3f} /s")
+
+
+def _legend(axes: Axes, title: str) -> None:
+    axes.legend(title=title, title_fontsize=9, fontsize=8, frameon=False, loc="upper right")

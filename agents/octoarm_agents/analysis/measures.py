@@ -1,0 +1,179 @@
+"""All that states and input alone can tell: memory, processing capacity, dimension."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.analysis.capacity import StateBasis
+from octoarm_agents.analysis.information_processing_capacity import (
+    InformationProcessingCapacity,
+    information_processing_capacity,
+)
+from octoarm_agents.analysis.memory_capacity import MemoryCapacity, memory_capacity
+from octoarm_agents.analysis.polynomials import Family
+from octoarm_agents.analysis.rank import numerical_rank, participation_ratio
+from octoarm_agents.analysis.states import Recording
+
+__all__ = ["Advance", "MeasureSettings", "Measures", "measure"]
+
+Float = NDArray[np.float64]
+Advance = Callable[[str, float], None]
+"""Called with the name of the stage and the share of the whole work just done."""
+
+
+@dataclass(frozen=True)
+class MeasureSettings:
+    """How to measure.
+
+    Attributes:
+        max_delay: largest delay of the memory capacity [rows].
+        delays: oldest input for the processing capacities of degree 1, 2, … [rows].
+        washout: rows left out at the begin.
+        noise: ν, half width of white noise on each state, in the states' unit.
+        significance: probability that a capacity of nothing counts.
+        surrogates: shuffled inputs for the thresholds of the processing capacity; 0 takes the
+            chi-square distribution.
+        family: polynomials of the inputs; None lets their distribution decide.
+        training_fraction: share of the rows that the held-out memory readout is fitted to.
+        tolerance: singular values above this share of the largest count in the ranks.
+        seed: of all that is random.
+    """
+
+    max_delay: int = 60
+    delays: tuple[int, ...] = (60, 25, 15, 9, 6)
+    washout: int = 500
+    noise: float = 0.0
+    significance: float = 1e-4
+    surrogates: int = 0
+    family: Family | None = None
+    training_fraction: float = 0.7
+    tolerance: float = 1e-3
+    seed: int = 0
+
+    @property
+    def oldest(self) -> int:
+        """The largest delay of all [rows]."""
+        return max((self.max_delay, *self.delays))
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """What the states of a recording can compute.
+
+    Attributes:
+        settings: how it was measured.
+        rows: of the recording, washout included.
+        inputs: number of inputs.
+        states: number of states.
+        constant_states: those that never change.
+        singular_values: of the centred states after the washout, descending.
+        memory: linear memory capacity.
+        processing: information processing capacity.
+    """
+
+    settings: MeasureSettings
+    rows: int
+    inputs: int
+    states: int
+    constant_states: int
+    singular_values: Float
+    memory: MemoryCapacity
+    processing: InformationProcessingCapacity
+
+    @property
+    def effective_rank(self) -> float:
+        """Participation ratio of the states' variances."""
+        return participation_ratio(self.singular_values)
+
+    @property
+    def rank_at_tolerance(self) -> int:
+        """Number of singular values above the tolerance."""
+        return numerical_rank(self.singular_values, self.settings.tolerance)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the reader of the figures should know."""
+        notes = []
+        for column, distribution in enumerate(self.processing.distributions, start=1):
+            if not distribution.independent:
+                notes.append(
+                    f"Input {column} is not independent in time: its autocorrelation at delay "
+                    f"{distribution.autocorrelation_delay} is "
+                    f"{distribution.largest_autocorrelation:.3f}. Capacities for different delays "
+                    "and degrees then overlap, and their sums count the same thing more than once."
+                )
+        if not self.memory.faded:
+            notes.append(
+                f"The memory does not end within {self.settings.max_delay} rows: "
+                "the memory capacity is a lower bound."
+            )
+        if self.constant_states:
+            notes.append(f"{self.constant_states} of {self.states} states never change.")
+        return notes
+
+    def to_dict(self) -> dict[str, Any]:
+        """All as plain numbers for a JSON file."""
+        return {
+            "settings": asdict(self.settings) | {"delays": list(self.settings.delays)},
+            "rows": self.rows,
+            "inputs": self.inputs,
+            "states": self.states,
+            "constant_states": self.constant_states,
+            "memory_capacity": self.memory.to_dict(),
+            "information_processing_capacity": self.processing.to_dict(),
+            "rank": {
+                "numerical": self.processing.rank,
+                "at_tolerance": self.rank_at_tolerance,
+                "participation_ratio": self.effective_rank,
+                "singular_values": self.singular_values.tolist(),
+            },
+            "warnings": self.warnings,
+        }
+
+
+def measure(
+    recording: Recording, settings: MeasureSettings, advance: Advance | None = None
+) -> Measures:
+    """Take all measures of a recording.
+
+    Raises:
+        ValueError: a setting out of its range, or too few rows.
+    """
+    report = advance or (lambda stage, share: None)
+    recording.check_length(settings.washout, settings.oldest)
+    report("memory capacity", 0.0)
+    memory = memory_capacity(
+        recording,
+        settings.max_delay,
+        settings.washout,
+        settings.noise,
+        settings.significance,
+        settings.training_fraction,
+    )
+    report("memory capacity", 0.1)
+    processing = information_processing_capacity(
+        recording,
+        settings.delays,
+        settings.washout,
+        settings.noise,
+        settings.significance,
+        settings.surrogates,
+        settings.family,
+        settings.seed,
+        lambda share: report("processing capacity", 0.9 * share),
+    )
+    return Measures(
+        settings=settings,
+        rows=len(recording),
+        inputs=recording.inputs.shape[1],
+        states=recording.states.shape[1],
+        constant_states=recording.constant_states,
+        singular_values=StateBasis(recording.states[settings.washout :]).singular_values,
+        memory=memory,
+        processing=processing,
+    )

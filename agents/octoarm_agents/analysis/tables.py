@@ -1,0 +1,105 @@
+"""The summaries that the command line prints."""
+
+from __future__ import annotations
+
+from rich.box import SIMPLE, SQUARE
+from rich.table import Table
+
+from octoarm_agents.analysis.measures import Measures
+from octoarm_agents.analysis.survey import ArmSurvey
+from octoarm_agents.analysis.sweep import Quantity, SweepPoint
+
+__all__ = ["measures_table", "survey_table", "sweep_table"]
+
+
+def measures_table(result: Measures) -> Table:
+    """The measures of a recording."""
+    memory, processing = result.memory, result.processing
+    table = _table(f"{result.rows} rows, {result.states} states")
+    first, last = memory.training_rows[0] + 1, memory.test_rows[1]
+    table.add_row("rows used (counted from 1)", f"{first} to {last}")
+    table.add_row(
+        f"memory capacity, delays 1 to {result.settings.max_delay}", f"{memory.total:.3f}"
+    )
+    test = memory.test_rows
+    table.add_row(f"the same on rows {test[0] + 1} to {test[1]}", f"{memory.held_out_total:.3f}")
+    table.add_row("information processing capacity", f"{processing.total:.3f}")
+    everything = sum(processing.unselected_by_degree)
+    table.add_row("the same, insignificant functions included", f"{everything:.3f}")
+    for degree, (value, delay, tried, counted) in enumerate(
+        zip(
+            processing.by_degree,
+            processing.delays,
+            processing.targets_by_degree,
+            processing.significant_by_degree,
+            strict=True,
+        ),
+        start=1,
+    ):
+        name = f"  degree {degree}, delays to {delay} ({counted} of {tried} functions count)"
+        table.add_row(name, f"{value:.3f}")
+    table.add_row("rank of the states, to rounding", f"{processing.rank}")
+    if result.settings.noise:
+        table.add_row("largest sum with this noise", f"{processing.expected_maximum:.3f}")
+    table.add_row(
+        f"rank above {result.settings.tolerance:g} of the largest", f"{result.rank_at_tolerance}"
+    )
+    table.add_row("participation ratio", f"{result.effective_rank:.2f}")
+    for column, distribution in enumerate(processing.distributions, start=1):
+        table.add_row(f"polynomials of input {column}", distribution.family)
+    return table
+
+
+def survey_table(result: ArmSurvey) -> Table:
+    """The measures of an arm's recording, and of the arm itself."""
+    table = measures_table(result.measures)
+    settings, echo, lyapunov = result.settings, result.echo, result.lyapunov
+    table.add_row(f"kernel rank, {settings.streams} different streams", f"{result.ranks.kernel}")
+    table.add_row(
+        f"generalisation rank, {settings.streams} similar streams",
+        f"{result.ranks.generalisation}",
+    )
+    table.add_row("initial state", echo.verdict)
+    decay = "none" if echo.decay_time is None else f"{echo.decay_time:.3f} s"
+    table.add_row("decay time of the initial state", decay)
+    table.add_row(
+        "largest conditional Lyapunov exponent",
+        f"{lyapunov.value:.3f} ± {lyapunov.standard_error:.3f} /s",
+    )
+    return table
+
+
+def sweep_table(quantity: Quantity, points: list[SweepPoint]) -> Table:
+    """The main figures of a sweep, a line for each value."""
+    names = {
+        "memory_capacity": "MC",
+        "capacity_linear": "linear IPC",
+        "capacity_nonlinear": "higher IPC",
+        "kernel_rank": "kernel rank",
+        "generalisation_rank": "similar rank",
+        "lyapunov_exponent_per_second": "exponent (1/s)",
+        "echo_decay_time_seconds": "decay (s)",
+    }
+    table = _table(f"Sweep of {quantity}", "value", *names.values())
+    for point in points:
+        cells = ["-"] * len(names)
+        if point.summary is not None:
+            figures = [point.summary[name] for name in names]
+            cells = ["none" if figure is None else f"{figure:.4g}" for figure in figures]
+        table.add_row(f"{point.value:g}", *cells)
+    return table
+
+
+def _table(title: str, *headings: str) -> Table:
+    # Wide tables without the frame, so that they fit into 80 columns.
+    box = SIMPLE if headings else SQUARE
+    table = Table(
+        title=title,
+        title_justify="left",
+        show_header=bool(headings),
+        box=box,
+        collapse_padding=bool(headings),
+    )
+    for column, heading in enumerate(headings or ("", "")):
+        table.add_column(heading, justify="right" if column else "left")
+    return table

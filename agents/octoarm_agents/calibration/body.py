@@ -1,0 +1,165 @@
+"""Which body? The search, its winner measured again, and the files that tell of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octoarm_agents.calibration.body_figure import draw_calibration
+from octoarm_agents.calibration.score import (
+    FAILURE,
+    LARGEST_GAIN,
+    TEACHER_STEPS,
+    WORST_WEIGHT,
+    initial_steps,
+    measure_task1,
+    score_ratios,
+)
+from octoarm_agents.calibration.search import POPULATION, search_bodies
+from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
+from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
+from octoarm_agents.files import write_atomically, write_json
+from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_env import ArmParameters, DomainError
+
+__all__ = ["SCORE", "calibrate_body", "measure_again"]
+
+SCORE = (
+    f"Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task),"
+    f" r = mean squared error / that of Table 2, Task 1 at R = {RANGE:g} degrees;"
+    f" from {FAILURE:g} on: the body left its domain"
+)
+
+_INITIAL = 500
+"""T_ini of the search."""
+
+
+def calibrate_body(
+    spaces: Sequence[SearchSpace],
+    *,
+    evaluations: int,
+    out: Path,
+    amplitudes: Mapping[str, float] | None = None,
+    trials: int = 5,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: bool | None = None,
+) -> dict[str, Any] | None:
+    """Search for the body, and write what was found.
+
+    Files in `out`: ``evaluations.jsonl`` (every evaluation, see `search_bodies`) and, once a body
+    has stayed in its domain, ``calibration.json``, ``calibration.png`` and ``body.json``, the
+    whole body, for `ArmParameters.from_json`.
+
+    Args:
+        spaces: each is searched by itself; they differ in their readings only.
+        evaluations: bodies tried in each space.
+        out: folder, which must exist.
+        amplitudes: R by cycle that the body must be able to follow on a direct base [degrees].
+        trials: T_ini with which the best body is measured again.
+        seed: of the search.
+        jobs: processes.
+        progress: show a bar on standard error; None: if that is a terminal.
+
+    Returns:
+        What ``calibration.json`` holds; None if no body stayed in its domain.
+
+    Raises:
+        ValueError: a setting out of its range, a base of another timestep than the paper's.
+        OSError: the folder cannot be written to.
+    """
+    check_timestep(spaces[0].base)
+    starts = initial_steps(trials)
+    tried = search_bodies(
+        spaces,
+        evaluations=evaluations,
+        file=out / "evaluations.jsonl",
+        initial=_INITIAL,
+        amplitudes=amplitudes,
+        seed=seed,
+        jobs=jobs,
+        progress=progress,
+    )
+    best = min(tried, key=lambda evaluation: float(evaluation["score"]))
+    if best["failure"] is not None:
+        return None
+    body = spaces[0].base.replace(**best["body"])
+    result = {
+        "score": SCORE,
+        "settings": {
+            "evaluations_each_space": evaluations,
+            "population": POPULATION,
+            "seed": seed,
+            "initial_steps": _INITIAL,
+            "range_degrees": RANGE,
+            "amplitudes_degrees": dict(amplitudes or {}),
+            "teacher_steps": TEACHER_STEPS if amplitudes else None,
+            "bounds": {
+                name: {"low": number.low, "high": number.high, "unit": number.unit}
+                for name, number in OPEN_NUMBERS.items()
+            },
+        },
+        "best": best,
+        "measured_again": measure_again(body, starts),
+        "spaces": [_summarise(space, tried) for space in spaces],
+        "body": body.to_dict(),
+        "versions": package_versions("octoarm-env", "octoarm-agents", "cma", "numpy"),
+        "machine": describe_machine(),
+    }
+    write_atomically(out / "calibration.png", lambda path: draw_calibration(tried, spaces, path))
+    write_json(out / "body.json", body.to_dict())
+    write_json(out / "calibration.json", result)
+    return result
+
+
+def measure_again(body: ArmParameters, starts: Sequence[int]) -> dict[str, Any]:
+    """Task 1 with several T_ini.
+
+    Args:
+        body: to measure.
+        starts: T_ini of each run.
+
+    Returns:
+        ``initial_steps``; ``ratios``, one {task: ratio} a run, None for one that left the domain;
+        ``mean_ratios`` and their ``score``, None if any did.
+
+    Raises:
+        ValueError: a body that cannot rest.
+    """
+    from threadpoolctl import threadpool_limits
+
+    ratios: list[dict[str, float] | None] = []
+    with threadpool_limits(1):  # as the search did: sums split over threads are rounded otherwise
+        for initial in starts:
+            try:
+                ratios.append(measure_task1(body, initial))
+            except DomainError:
+                ratios.append(None)
+    whole = [each for each in ratios if each is not None]
+    mean = None
+    if len(whole) == len(starts):
+        mean = {task: float(np.mean([each[task] for each in whole])) for task in TASKS}
+    return {
+        "initial_steps": list(starts),
+        "ratios": ratios,
+        "mean_ratios": mean,
+        "score": None if mean is None else score_ratios(mean),
+    }
+
+
+def _summarise(space: SearchSpace, tried: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What one of the searches was, and came to."""
+    mine = [evaluation for evaluation in tried if space.holds(evaluation["body"])]
+    best = min(mine, key=lambda evaluation: float(evaluation["score"]))
+    return space.readings | {
+        "search": best["search"],
+        "tilt": space.tilt,
+        "evaluations": len(mine),
+        "failures": sum(evaluation["failure"] is not None for evaluation in mine),
+        "best_score": best["score"],
+        "best_ratios": best["ratios"] if best["failure"] is None else None,
+        "best_body": best["body"],
+    }

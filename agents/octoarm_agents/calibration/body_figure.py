@@ -1,0 +1,155 @@
+"""The picture of a search for the body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
+from octoarm_agents.experiments.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    TASK_COLOURS,
+    TASK_LABELS,
+    VERMILLION,
+    new_figure,
+    save_figure,
+    write_letters,
+)
+
+__all__ = ["draw_calibration"]
+
+_SPACE_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, GREY)
+
+_PANELS = 3
+"""Panels a row below."""
+
+
+def draw_calibration(
+    tried: Sequence[Mapping[str, Any]], spaces: Sequence[SearchSpace], path: Path
+) -> None:
+    """Above, errors against evaluations; below, the score against every parameter searched.
+
+    Args:
+        tried: evaluations, see `search_bodies`; at least one without failure.
+        spaces: that were searched.
+        path: of the picture.
+    """
+    scatters = [*OPEN_NUMBERS, *(("gravity",) if spaces[0].tilt else ())]
+    rows = math.ceil(len(scatters) / _PANELS)
+    figure = new_figure(11.0, 3.6 + 3.2 * rows)
+    grid = figure.add_gridspec(1 + rows, _PANELS)
+    above = figure.add_subplot(grid[0, :])
+    below = [
+        figure.add_subplot(grid[1 + index // _PANELS, index % _PANELS])
+        for index in range(len(scatters))
+    ]
+    _draw_ratios(above, tried)
+    for axes, name in zip(below, scatters, strict=True):
+        _draw_scatter(axes, name, tried, spaces)
+    below[0].legend(fontsize=7, frameon=False)
+    write_letters([above, *below])
+    save_figure(figure, path)
+
+
+def _draw_ratios(axes: Any, tried: Sequence[Mapping[str, Any]]) -> None:
+    """Ratios of every body in the order tried, and those of the best so far as lines."""
+    leaders, best = [], math.inf
+    leader: Mapping[str, Any] | None = None
+    for evaluation in tried:
+        if evaluation["failure"] is None and evaluation["score"] < best:
+            best, leader = evaluation["score"], evaluation
+        leaders.append(leader)
+    for task, colour in TASK_COLOURS.items():
+        points = [
+            (index, evaluation["ratios"][task])
+            for index, evaluation in enumerate(tried)
+            if evaluation["ratios"] is not None
+        ]
+        axes.scatter(*zip(*points, strict=True), s=9, color=colour, alpha=0.5, linewidths=0)
+        line = [math.nan if each is None else each["ratios"][task] for each in leaders]
+        axes.step(
+            range(len(tried)),
+            line,
+            where="post",
+            color=colour,
+            linewidth=1.4,
+            label=TASK_LABELS[task],
+        )
+    failures = [index for index, each in enumerate(tried) if each["failure"] is not None]
+    axes.plot(
+        failures,
+        np.full(len(failures), 0.97),
+        "|",
+        color=GREY,
+        markersize=6,
+        transform=axes.get_xaxis_transform(),
+        label="left its domain" if failures else None,
+    )
+    axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
+    axes.set_yscale("log")
+    axes.set_xlabel("evaluation (line: the best body so far)")
+    axes.set_ylabel("error / that of Table 2")
+    axes.legend(fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+
+
+def _draw_scatter(
+    axes: Any, name: str, tried: Sequence[Mapping[str, Any]], spaces: Sequence[SearchSpace]
+) -> None:
+    """Score against one parameter, a colour a space."""
+    for number, space in enumerate(spaces):
+        points = [
+            (_abscissa(name, evaluation["body"]), evaluation["score"])
+            for evaluation in tried
+            if space.holds(evaluation["body"]) and evaluation["failure"] is None
+        ]
+        if points:
+            axes.scatter(
+                *zip(*points, strict=True),
+                s=7,
+                alpha=0.6,
+                linewidths=0,
+                color=_SPACE_COLOURS[number % len(_SPACE_COLOURS)],
+                label=_label(space, spaces),
+            )
+    failed = [_abscissa(name, each["body"]) for each in tried if each["failure"] is not None]
+    axes.plot(
+        failed,
+        np.full(len(failed), 0.97),
+        "|",
+        color=GREY,
+        markersize=6,
+        transform=axes.get_xaxis_transform(),
+    )
+    if name in OPEN_NUMBERS:
+        bounds = OPEN_NUMBERS[name]
+        axes.set_xscale("log" if bounds.logarithmic else "linear")
+        axes.set_xlabel(f"{name} ({bounds.unit})" if bounds.unit else name)
+    else:
+        axes.set_xlabel("tilt of gravity from the arm (degrees)")
+    axes.set_ylabel("score")
+
+
+def _abscissa(name: str, body: Mapping[str, Any]) -> float:
+    if name != "gravity":
+        return float(body[name])
+    x, y, z = body[name]
+    return math.degrees(math.atan2(math.hypot(x, y), z))
+
+
+def _label(space: SearchSpace, spaces: Sequence[SearchSpace]) -> str:
+    """What tells a space from the others."""
+    parts = [f"lift {space.lift_scale:+g}"]
+    for name in ("volume_force", "reference_area"):
+        if len({getattr(each, name) for each in spaces}) > 1:
+            parts.append(str(getattr(space, name)))
+    return ", ".join(parts)

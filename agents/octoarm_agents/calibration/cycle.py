@@ -1,0 +1,128 @@
+"""How is a cycle taught best? The search for ν and κ, then the full teaching and a long run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+from octoarm_agents.files import write_json
+from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.reservoir.closed_loop import (
+    FORCED_STEPS,
+    WINDOW_STEPS,
+    ClosedLoop,
+    release,
+    score_window,
+)
+from octoarm_agents.reservoir.teaching import TIME_SCALES, Teaching, teach
+from octoarm_agents.reservoir.tuning import tune
+from octoarm_env import LIMIT_CYCLES, ArmParameters
+
+__all__ = ["CLOSED_STEPS", "calibrate_cycle"]
+
+CLOSED_STEPS = 100_000
+"""Steps for which the loop found is run, undisturbed."""
+
+
+def calibrate_cycle(
+    parameters: ArmParameters,
+    target: str,
+    amplitude: float,
+    *,
+    actuator: Literal["direct", "servo"] = "direct",
+    out: Path,
+    evaluations: int = 160,
+    noise: float = 0.01,
+    seed: int = 1,
+    steps: int = CLOSED_STEPS,
+    advance: Callable[[str, int], None] | None = None,
+) -> dict[str, Any]:
+    """Find how a readout is taught a cycle, and see whether it holds it.
+
+    The file in `out` is called TARGET-ACTUATOR.json.
+
+    Args:
+        parameters: the body.
+        target: name of the limit cycle.
+        amplitude: R, its largest angle [degrees].
+        actuator: how the base follows its command.
+        out: folder, which must exist.
+        evaluations: candidates tried, at least 8.
+        noise: half width of the noise on the outputs in the trial of a candidate [degrees].
+        seed: of the search.
+        steps: of the closed loop, at least `WINDOW_STEPS`.
+        advance: called with the stage and what was just done of it: ``"candidates"``, one of
+            `evaluations`; ``"alone"``, physics steps of `steps`.
+
+    Returns:
+        What the file holds: ``teaching`` (found), ``tuned_distance`` (in the search's own trial,
+        None if no candidate held), ``exponents_per_second`` (leading Floquet exponents, None for
+        one that is not finite), ``training_error_degrees``, ``closed_loop`` (``steps``,
+        ``failure``, ``scores`` of the last `WINDOW_STEPS`, None if it ended early), ``record`` of
+        all candidates, and what it was computed with.
+
+    Raises:
+        ValueError: a setting out of its range, a body that cannot rest.
+        DomainError: the arm cannot follow the teacher.
+        OSError: the folder cannot be written to.
+    """
+    if steps < WINDOW_STEPS:
+        raise ValueError(f"steps = {steps}: expected at least {WINDOW_STEPS}")
+    report = advance or (lambda stage, count: None)
+    tuned = tune(
+        parameters,
+        Teaching(target, amplitude, noise=0.0, actuator=actuator),
+        evaluations=evaluations,
+        noise=noise,
+        seed=seed,
+        advance=lambda: report("candidates", 1),
+    )
+    taught = teach(parameters, tuned.teaching)
+    loop = ClosedLoop(
+        release(parameters, target, amplitude, actuator),
+        taught.readout.weights_,
+        amplitude,
+        advance=lambda count: report("alone", count),
+    )
+    loop.run(steps)
+    cycle = LIMIT_CYCLES[target]
+    scores = None
+    if loop.failure is None:
+        scores = score_window(
+            loop.outputs[-WINDOW_STEPS:],
+            cycle.orbit(amplitude),
+            cycle.period / parameters.timestep,
+        )
+    result = {
+        "settings": {
+            "target": target,
+            "actuator": actuator,
+            "amplitude_degrees": amplitude,
+            "evaluations": evaluations,
+            "noise_degrees": noise,
+            "seed": seed,
+            "forced_steps": FORCED_STEPS,
+            "window_steps": WINDOW_STEPS,
+            "time_scales_steps": list(TIME_SCALES),
+        },
+        "teaching": asdict(tuned.teaching),
+        "tuned_distance": tuned.distance,
+        "exponents_per_second": [
+            value if math.isfinite(value) else None for value in taught.exponents.tolist()
+        ],
+        "training_error_degrees": taught.readout.training_error_,
+        "closed_loop": {
+            "steps": len(loop.outputs),
+            "failure": loop.failure,
+            "scores": scores,
+        },
+        "record": tuned.record,
+        "body": parameters.to_dict(),
+        "versions": package_versions("octoarm-env", "octoarm-agents", "cma", "numpy", "scipy"),
+        "machine": describe_machine(),
+    }
+    write_json(out / f"{target}-{actuator}.json", result)
+    return result

@@ -1,0 +1,229 @@
+"""The search for the body: CMA-ES (Hansen 2016, arXiv:1604.00772) over what the paper leaves open.
+
+The search is deterministic: candidates follow from the seed and from the scores before them. So an
+interrupted search is taken up by asking for the same candidates again, and giving the scores on
+file for an answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cma
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.calibration.record import append_evaluations, read_evaluations
+from octoarm_agents.calibration.score import evaluate_body
+from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
+from octoarm_agents.experiments.trials import code_digest
+from octoarm_agents.machine import package_versions
+from octoarm_env import ArmParameters
+
+__all__ = ["POPULATION", "search_bodies"]
+
+Float = NDArray[np.float64]
+
+POPULATION = 12
+"""Candidates of a generation."""
+
+
+def search_bodies(
+    spaces: Sequence[SearchSpace],
+    *,
+    evaluations: int,
+    file: Path,
+    initial: int = 500,
+    amplitudes: Mapping[str, float] | None = None,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: bool | None = None,
+) -> list[dict[str, Any]]:
+    """Search every space for the body with the lowest score, all at the same pace.
+
+    Every evaluation is written to `file` with its generation. A later call with the same spaces,
+    seed and code goes on from there; a call with more evaluations too. Others' evaluations in the
+    file stay as they are. Results do not depend on `jobs`.
+
+    Args:
+        spaces: each is searched by itself; they differ in their readings only.
+        evaluations: bodies tried in each space.
+        file: of the evaluations; its folder must exist.
+        initial: T_ini of Task 1.
+        amplitudes: R by cycle, see `evaluate_body`.
+        seed: of the search.
+        jobs: processes.
+        progress: show a bar on standard error; None: if that is a terminal.
+
+    Returns:
+        The evaluations of these searches, each ``search`` (digest of all that it depends on),
+        ``seed``, ``index``, ``body`` (open parameters by field), ``score``, ``ratios`` and
+        ``failure``; in the order in which they are tried.
+
+    Raises:
+        ValueError: a setting out of its range, or a file of something else.
+        OSError: the file cannot be read or written.
+    """
+    from joblib import Parallel
+    from tqdm import tqdm
+
+    for name, value, low in (
+        ("evaluations", evaluations, 1),
+        ("seed", seed, 0),
+        ("jobs", jobs, 1),
+        ("spaces", len(spaces), 1),
+    ):
+        if value < low:
+            raise ValueError(f"{name} = {value}: expected at least {low}")
+    if any(space.base != spaces[0].base for space in spaces):
+        raise ValueError("spaces: expected the same base in each")
+    judge = {"initial": initial, "amplitudes": dict(amplitudes or {})}
+    stored = read_evaluations(file)
+    searches = [_Search(space, judge, seed, stored) for space in spaces]
+    results: list[dict[str, Any]] = []
+    with (
+        tqdm(
+            total=evaluations * len(spaces),
+            desc="bodies",
+            file=sys.stderr,
+            disable=None if progress is None else not progress,
+            leave=False,
+        ) as bar,
+        Parallel(n_jobs=min(jobs, POPULATION * len(spaces))) as parallel,
+    ):
+        for begin in range(0, evaluations, POPULATION):
+            asked = [
+                evaluation
+                for search in searches
+                for evaluation in search.ask(min(POPULATION, evaluations - begin))
+            ]
+            _evaluate(parallel, spaces[0].base, asked, file, judge)
+            for search in searches:
+                search.tell()
+            results += asked
+            bar.update(len(asked))
+            bar.set_postfix(best=f"{min(each['score'] for each in results):.3f}")
+    return results
+
+
+def _evaluate(
+    parallel: Any,
+    base: ArmParameters,
+    asked: Sequence[dict[str, Any]],
+    file: Path,
+    judge: Mapping[str, Any],
+) -> None:
+    """Complete the evaluations that have no score yet, and add them to the file."""
+    from joblib import delayed
+
+    new = [evaluation for evaluation in asked if "score" not in evaluation]
+    judged = parallel(delayed(_judge)(base, each["body"], judge) for each in new)
+    for evaluation, result in zip(new, judged, strict=True):
+        evaluation.update(result)
+    append_evaluations(file, new)
+
+
+def _judge(
+    base: ArmParameters, changes: Mapping[str, Any], judge: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Evaluate one candidate, in whatever process."""
+    from threadpoolctl import threadpool_limits
+
+    # Sums split over threads are rounded otherwise; and the processes are what fills the machine.
+    with threadpool_limits(1):
+        return evaluate_body(base.replace(**changes), **judge)
+
+
+class _Search:
+    """CMA-ES in one space, fed from file where it can be.
+
+    Where it has converged it begins again, from a random body.
+    """
+
+    def __init__(
+        self,
+        space: SearchSpace,
+        judge: Mapping[str, Any],
+        seed: int,
+        stored: Sequence[dict[str, Any]],
+    ) -> None:
+        self.space = space
+        self._seed = seed
+        self._digest = _digest(space, judge, seed)
+        self._stored = {each["index"]: each for each in stored if each["search"] == self._digest}
+        self._random = np.random.default_rng(seed)
+        self._count = 0
+        self._strategy = self._begin(np.full(space.dimension, 0.5))
+        self._candidates: list[Float] = []
+        self._asked: list[dict[str, Any]] = []
+
+    def ask(self, count: int) -> list[dict[str, Any]]:
+        """The next candidates, at most a generation; those on file with their scores.
+
+        Raises:
+            ValueError: the file holds another body in the place of a candidate.
+        """
+        if self._strategy.stop():
+            self._strategy = self._begin(self._random.uniform(size=self.space.dimension))
+        self._candidates = self._strategy.ask()
+        self._asked = []
+        for candidate in self._candidates[:count]:
+            body = self.space.changes(candidate)
+            evaluation = {
+                "search": self._digest,
+                "seed": self._seed,
+                "index": self._count,
+                "body": body,
+            }
+            known = self._stored.get(self._count)
+            if known is not None:
+                if known["body"] != body:
+                    raise ValueError(
+                        f"evaluation {self._count} of search {self._digest} on file is of another"
+                        " body than the search tries: the file has been changed"
+                    )
+                results = {name: known[name] for name in ("score", "ratios", "failure")}
+                evaluation |= results
+            self._asked.append(evaluation)
+            self._count += 1
+        return self._asked
+
+    def tell(self) -> None:
+        """Learn from the generation asked for; from a part of one, the last, nothing is learnt."""
+        if len(self._asked) == len(self._candidates):
+            scores = [evaluation["score"] for evaluation in self._asked]
+            self._strategy.tell(self._candidates, scores)
+
+    def _begin(self, mean: Float) -> Any:
+        # Numbers from a generator of its own: by itself the library seeds that of all of NumPy.
+        return cma.CMAEvolutionStrategy(
+            mean,
+            1.0,
+            {
+                "CMA_stds": self.space.spreads,
+                "randn": lambda *shape: self._random.normal(size=shape),
+                "seed": np.nan,
+                "popsize": POPULATION,
+                "bounds": [0.0, 1.0],
+                "verbose": -9,
+            },
+        )
+
+
+def _digest(space: SearchSpace, judge: Mapping[str, Any], seed: int) -> str:
+    """Digest of all that a search's evaluations depend on."""
+    content = {
+        "space": space.to_dict(),
+        "parameters": OPEN_PARAMETERS,
+        "judge": dict(judge),
+        "seed": seed,
+        "versions": package_versions("cma", "numpy", "scipy", "scikit-learn"),
+        "code": code_digest(__name__),
+    }
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -1,0 +1,198 @@
+"""How much does each open parameter matter? Each is moved alone, and the body measured again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from octoarm_agents.calibration.body import measure_again
+from octoarm_agents.calibration.score import TEACHER_STEPS, follow_teacher, initial_steps
+from octoarm_agents.calibration.sensitivity_report import draw_sensitivity, sensitivity_markdown
+from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
+from octoarm_agents.experiments.task1 import RANGE, check_timestep
+from octoarm_agents.experiments.trials import run_trials
+from octoarm_agents.files import write_atomically, write_json
+from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_env import LIMIT_CYCLES, ArmParameters
+
+__all__ = ["AMPLITUDES", "Change", "changes_of", "measure_sensitivity", "probe_change"]
+
+AMPLITUDES = (5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
+"""R of the teachers tried; 90, 130 and 10 are the paper's for its three cycles [degrees]."""
+
+FACTORS = (0.5, 0.8, 1.25, 2.0)
+TILTS = (10.0, 45.0, 90.0)
+LIFTS = (1.0, 0.0, -1.0)
+"""How each parameter is moved: by factors; gravity by angles [degrees]; lift to these."""
+
+_ALTERNATIVES = {
+    "volume_force": ("applied", "total"),
+    "reference_area": ("wetted", "planform"),
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One parameter moved.
+
+    Attributes:
+        parameter: field of `ArmParameters`, empty for the body as it is.
+        label: to which value, for a table.
+        fields: what is replaced, by field.
+    """
+
+    parameter: str
+    label: str
+    fields: dict[str, Any]
+
+
+def changes_of(base: ArmParameters) -> list[Change]:
+    """All moves of a body's open parameters, the body as it is first.
+
+    A number that is zero has no multiples; it takes values over its bounds of the search. The other
+    reading of the reference area comes with the area rescaled, so that the area at rest stays.
+
+    Args:
+        base: the body.
+    """
+    changes = [Change("", "the body as it is", {})]
+    for name in ("area_scale", "plane_mass", "plane_inertia"):
+        value = float(getattr(base, name))
+        if value:
+            changes += [Change(name, f"× {factor:g}", {name: value * factor}) for factor in FACTORS]
+        else:
+            values = [OPEN_NUMBERS[name].value(k / 3) for k in range(4)]
+            changes += [Change(name, f"{each:.3g}", {name: each}) for each in values]
+    density = OPEN_NUMBERS["arm_density"]
+    changes += [
+        Change("arm_density", f"{value:g}", {"arm_density": value})
+        for value in (density.low, density.high)
+        if value != base.arm_density
+    ]
+    changes += [
+        Change("gravity", f"tilted {angle:g}°", {"gravity": tilt_gravity(base.gravity, angle)})
+        for angle in TILTS
+    ]
+    changes += [
+        Change("lift_scale", f"{value:+g}" if value else "0", {"lift_scale": value})
+        for value in LIFTS
+        if value != base.lift_scale
+    ]
+    for name, readings in _ALTERNATIVES.items():
+        (other,) = (reading for reading in readings if reading != getattr(base, name))
+        fields: dict[str, Any] = {name: other}
+        label = other
+        if name == "reference_area":
+            factor = math.pi if other == "planform" else 1 / math.pi
+            fields["area_scale"] = base.area_scale * factor
+            label += ", area rescaled"
+        changes.append(Change(name, label, fields))
+    return changes
+
+
+def probe_change(
+    parameters: ArmParameters,
+    *,
+    fields: dict[str, Any],
+    starts: Sequence[int],
+    amplitudes: Sequence[float],
+) -> dict[str, Any]:
+    """Measure a body with some parameters replaced; a trial of `run_trials`.
+
+    Args:
+        parameters: the body.
+        fields: replaced in it.
+        starts: T_ini of each run of Task 1.
+        amplitudes: R of the teachers, rising [degrees].
+
+    Returns:
+        ``error``: None, or why there is no such body at rest; ``task1``, see `measure_again`; and
+        ``largest_amplitudes`` by cycle: of the R up to which a direct base can be forced, the
+        largest [degrees], None if that is none.
+    """
+    result: dict[str, Any] = {"error": None, "task1": None, "largest_amplitudes": None}
+    try:
+        body = parameters.replace(**fields)
+        task1 = measure_again(body, starts)
+    except ValueError as error:  # out of a field's range, or no static equilibrium
+        return result | {"error": str(error)}
+    largest: dict[str, float | None] = {}
+    for target in LIMIT_CYCLES:
+        largest[target] = None
+        for amplitude in amplitudes:
+            if follow_teacher(body, target, amplitude) < TEACHER_STEPS:
+                break
+            largest[target] = amplitude
+    return result | {"task1": task1, "largest_amplitudes": largest}
+
+
+def measure_sensitivity(
+    base: ArmParameters,
+    *,
+    out: Path,
+    trials: int = 3,
+    amplitudes: Sequence[float] = AMPLITUDES,
+    jobs: int = 1,
+    progress: bool | None = None,
+) -> dict[str, Any]:
+    """Move every open parameter alone; write ``sensitivity.json``, ``.png`` and ``.md``.
+
+    Finished bodies are kept in ``.sensitivity-trials``, so that an interrupted run goes on there.
+
+    Args:
+        base: the body.
+        out: folder, which must exist.
+        trials: T_ini over which the errors of Task 1 are averaged.
+        amplitudes: R of the teachers [degrees].
+        jobs: processes; the results do not depend on it.
+        progress: show a bar on standard error; None: if that is a terminal.
+
+    Returns:
+        What ``sensitivity.json`` holds.
+
+    Raises:
+        ValueError: a setting out of its range, a body of another timestep than the paper's.
+        OSError: the folder cannot be written to.
+    """
+    check_timestep(base)
+    ladder = sorted(amplitudes)
+    if not ladder or not ladder[0] > 0:
+        raise ValueError(f"amplitudes = {list(amplitudes)}: expected positive numbers of degrees")
+    starts = initial_steps(trials)
+    changes = changes_of(base)
+    results = run_trials(
+        probe_change,
+        base,
+        [{"fields": each.fields, "starts": starts, "amplitudes": ladder} for each in changes],
+        folder=out / ".sensitivity-trials",
+        jobs=jobs,
+        progress=progress,
+        description="bodies",
+    )
+    result = {
+        "settings": {
+            "range_degrees": RANGE,
+            "initial_steps": starts,
+            "amplitudes_degrees": ladder,
+            "teacher_steps": TEACHER_STEPS,
+        },
+        "changes": [
+            {"parameter": each.parameter, "label": each.label, "fields": each.fields} | measured
+            for each, measured in zip(changes, results, strict=True)
+        ],
+        "body": base.to_dict(),
+        "versions": package_versions("octoarm-env", "octoarm-agents", "numpy", "scikit-learn"),
+        "machine": describe_machine(),
+    }
+    text = sensitivity_markdown(result)
+    write_atomically(out / "sensitivity.png", lambda path: draw_sensitivity(result, path))
+    write_atomically(out / "sensitivity.md", lambda path: _write_text(path, text))
+    write_json(out / "sensitivity.json", result)
+    return result
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

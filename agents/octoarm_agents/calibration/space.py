@@ -1,0 +1,147 @@
+"""What the paper leaves open, and in which bounds it is searched; nothing else of a body moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_env import ArmParameters
+
+__all__ = ["OPEN_NUMBERS", "OPEN_PARAMETERS", "OpenNumber", "SearchSpace", "tilt_gravity"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OpenNumber:
+    """A number that the paper does not give.
+
+    Attributes:
+        low: smallest value that is tried.
+        high: largest.
+        logarithmic: whether factors count, and not differences.
+        unit: in which the bounds are, empty for a plain number.
+    """
+
+    low: float
+    high: float
+    logarithmic: bool
+    unit: str
+
+    def value(self, coordinate: float) -> float:
+        """The value at a coordinate from 0 (low) to 1 (high)."""
+        if self.logarithmic:
+            return self.low * math.exp(coordinate * math.log(self.high / self.low))
+        return self.low + (self.high - self.low) * coordinate
+
+
+OPEN_NUMBERS: dict[str, OpenNumber] = {
+    "area_scale": OpenNumber(0.5, 50.0, True, ""),
+    "plane_mass": OpenNumber(1e-4, 0.1, True, "kg"),
+    "plane_inertia": OpenNumber(1e-8, 1e-5, True, "kg m²"),
+    # An octopus' muscle (Yekutieli et al. 2005), and all masses of Table 1 by the rest volume.
+    "arm_density": OpenNumber(1042.0, 1303.0, False, "kg/m³"),
+}
+"""By the field of `ArmParameters`."""
+
+OPEN_PARAMETERS = (*OPEN_NUMBERS, "gravity", "lift_scale", "volume_force", "reference_area")
+"""Every field that a search may change. (The servo is not part of Task 1.)"""
+
+_TILT = math.pi
+"""Largest tilt of gravity [rad]: an arm that stands on its base."""
+
+_SPREAD, _TILT_SPREAD = 0.2, 0.05
+"""Standard deviation of the first bodies, in coordinates; of the tilt 18 degrees, for most of the
+bodies that are tilted far leave their domain."""
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """The unit cube of all bodies that one search may try.
+
+    Attributes:
+        base: gives all that is not open, and the strength of gravity.
+        lift_scale: +1 or -1, the sign of the lift force.
+        volume_force: reading of Eqs. 7-8.
+        reference_area: reading of A_r.
+        tilt: whether the direction of gravity is searched too; else it is that of `base`.
+    """
+
+    base: ArmParameters
+    lift_scale: float
+    volume_force: str
+    reference_area: str
+    tilt: bool = False
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates."""
+        return len(OPEN_NUMBERS) + 2 * self.tilt
+
+    @property
+    def spreads(self) -> list[float]:
+        """Standard deviation of the coordinates of a search's first bodies."""
+        return [_SPREAD] * len(OPEN_NUMBERS) + [_TILT_SPREAD] * (2 * self.tilt)
+
+    @property
+    def readings(self) -> dict[str, Any]:
+        """The signs and readings, in which the spaces of a search differ."""
+        return {
+            "lift_scale": self.lift_scale,
+            "volume_force": self.volume_force,
+            "reference_area": self.reference_area,
+        }
+
+    def holds(self, changes: Mapping[str, Any]) -> bool:
+        """Whether a body, told by its open parameters, has the readings of this space."""
+        return all(changes[name] == reading for name, reading in self.readings.items())
+
+    def changes(self, coordinates: Sequence[float] | Float) -> dict[str, Any]:
+        """The open parameters of the body at coordinates from 0 to 1, by field."""
+        if len(coordinates) != self.dimension:
+            raise ValueError(
+                f"coordinates has {len(coordinates)} numbers: expected {self.dimension}"
+            )
+        values = [float(coordinate) for coordinate in coordinates]
+        numbers = {
+            name: number.value(value)
+            for (name, number), value in zip(OPEN_NUMBERS.items(), values, strict=False)
+        }
+        gravity = self.base.gravity
+        if self.tilt:
+            # Tilt and azimuth as polar coordinates of a plane, so that nothing is singular at the
+            # hanging arm, the middle of the cube.
+            across = 2 * _TILT * (np.array(values[len(OPEN_NUMBERS) :]) - 0.5)
+            tilt = min(math.hypot(*across), _TILT)
+            azimuth = math.atan2(across[1], across[0])
+            strength = math.hypot(*self.base.gravity)
+            gravity = (
+                strength * math.sin(tilt) * math.cos(azimuth),
+                strength * math.sin(tilt) * math.sin(azimuth),
+                strength * math.cos(tilt),
+            )
+        return numbers | {"gravity": list(gravity)} | self.readings
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that the bodies at given coordinates depend on, as plain numbers for JSON."""
+        return {"base": self.base.to_dict(), "tilt": self.tilt} | self.readings
+
+
+def tilt_gravity(gravity: Sequence[float], angle: float) -> list[float]:
+    """Turn gravity about the y axis.
+
+    Args:
+        gravity: (3,), world frame [m/s²]; for a hanging arm it points along +z.
+        angle: from +z towards +x [degrees].
+
+    Returns:
+        (3,) [m/s²].
+    """
+    x, y, z = gravity
+    sine, cosine = math.sin(math.radians(angle)), math.cos(math.radians(angle))
+    return [x * cosine + z * sine, y, z * cosine - x * sine]

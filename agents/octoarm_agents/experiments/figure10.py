@@ -1,0 +1,20 @@
+"""Figure 10: recovery of the Lissajous curve from noise on the outputs (section 3.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.bursts import burst_tables, draw_bursts, run_bursts
+from octoarm_agents.experiments.runner import Context, Experiment
+from octoarm_agents.experiments.task2 import TRIALS
+
+__all__ = ["EXPERIMENT"]
+
+
+def run(context: Context) -> dict[str, Any]:
+    """Disturb the cycle with noise of three sizes."""
+    return run_bursts(context, "lissajous")
+
+
+EXPERIMENT = Experiment("figure10", EXPERIMENTS["figure10"], TRIALS, run, draw_bursts, burst_tables)

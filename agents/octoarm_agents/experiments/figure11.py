@@ -1,0 +1,172 @@
+"""Figure 11: noise from which the Lissajous curve does not come back (section 3.2).
+
+The paper shows one such trajectory. Here the lost trials are counted, over many seeds and larger ε.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.bursts import count_outcomes
+from octoarm_agents.experiments.cycle_settings import DIRECT_BURSTS, PAPER_BURSTS
+from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
+from octoarm_agents.experiments.task2 import (
+    FOLDER,
+    TaughtCycle,
+    disturb_all,
+    fraction_recovered,
+    teach_cycles,
+)
+from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, disturb_cycle
+
+__all__ = ["EXPERIMENT"]
+
+TARGET = "lissajous"
+SERVO_BURSTS = (*sorted(PAPER_BURSTS[TARGET]), 1.0, 3.0, 10.0, 20.0, 40.0)
+LADDERS = {"servo": SERVO_BURSTS, "direct": DIRECT_BURSTS}
+"""ε by the actuator of the base [degrees]."""
+
+OUTCOMES = {
+    "recovered": "recovered",
+    "off_cycle": "not back at the end",
+    "domain": "left the domain",
+    "jump": "jumped",
+    "rest": "came to rest",
+}
+
+PAPER = (
+    "Above ε of about 0.3 degrees the trajectory often leaves the limit cycle and never comes back;"
+    " below, sometimes."
+)
+
+
+def run(context: Context) -> dict[str, Any]:
+    """Count the trials that are lost, and show one."""
+    bases: dict[str, Any] = {}
+    example = None
+    for actuator, cycle in reversed(teach_cycles(context, [TARGET])[TARGET].items()):
+        entry = cycle.describe() | {"bursts": []}
+        if cycle.failure is None:
+            bursts = [(cycle, burst) for burst in LADDERS[actuator]]
+            for (_, burst), trials in zip(bursts, disturb_all(context, bursts), strict=True):
+                lost = [trial["trial"] for trial in trials if not trial["recovered"]]
+                entry["bursts"].append(
+                    {
+                        "burst_deg": burst,
+                        "lost_fraction": 1 - fraction_recovered(trials),
+                        "lost_trials": lost,
+                        "outcomes": count_outcomes(trials),
+                    }
+                )
+                if lost and example is None:
+                    example = _show(context, cycle, burst, lost[0])
+        bases[actuator] = entry
+    return {
+        "target": TARGET,
+        "trials": context.trials,
+        "burst_steps": [BURST_BEGIN, BURST_END],
+        "bases": bases,
+        "example": example,
+        "paper": PAPER,
+    }
+
+
+def _show(context: Context, cycle: TaughtCycle, burst: float, trial: int) -> dict[str, Any]:
+    """One trial again, with its outputs."""
+    settings = {"burst": burst, "seed": context.seed, "trial": trial, "series": True}
+    shown = context.run(FOLDER, disturb_cycle, [cycle.settings | settings])[0]
+    return {
+        "actuator": cycle.teaching.actuator,
+        "amplitude_deg": cycle.teaching.amplitude,
+        **{name: shown[name] for name in ("burst_deg", "trial", "failure", "series")},
+    }
+
+
+def tables(result: Mapping[str, Any]) -> list[ResultTable]:
+    """The part of the trials that is lost, by base and ε."""
+    rows, notes = [], [f"The paper: {result['paper']}"]
+    for actuator, entry in result["bases"].items():
+        if entry["teaching_failure"] is not None:
+            notes.append(f"{actuator}: {entry['teaching_failure']['message']}.")
+        for burst in entry["bursts"]:
+            outcomes = ", ".join(
+                f"{count} {OUTCOMES[name]}" for name, count in burst["outcomes"].items()
+            )
+            lost = f"{burst['lost_fraction']:.0%}"
+            rows.append((actuator, f"{burst['burst_deg']:g}", lost, outcomes))
+    title = f"The Lissajous curve lost, {result['trials']} seeds"
+    return [ResultTable(title, ("base", "ε (°)", "lost", "outcomes"), rows, notes)]
+
+
+def draw(result: Mapping[str, Any], path: Path) -> None:
+    """A lost trial over time and as a portrait; the part lost against ε."""
+    from octoarm_agents.experiments.cycle_figures import (
+        draw_outputs,
+        draw_portrait,
+        explain_outputs,
+        say_missing,
+    )
+    from octoarm_agents.experiments.figures import (
+        BLACK,
+        GREEN,
+        ORANGE,
+        PURPLE,
+        new_figure,
+        save_figure,
+        write_letters,
+    )
+
+    timestep, example = result["body"]["timestep"], result["example"]
+    figure = new_figure(11.0, 7.0)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.3))
+    over_time = figure.add_subplot(grid[0, :])
+    portrait, lost = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
+    write_letters([over_time, portrait, lost])
+    if example is None:
+        say_missing(over_time, {"message": "every trial recovered"})
+        say_missing(portrait, {"message": "every trial recovered"})
+    else:
+        series = example["series"]
+        draw_outputs(over_time, series, timestep, burst=True, target=False)
+        over_time.set_xlabel("time in closed loop (s)", fontsize=9)
+        over_time.set_ylabel("output (degrees)", fontsize=9)
+        over_time.set_xlim(left=timestep * (BURST_BEGIN - 2_000))
+        failure = example["failure"]
+        outcome = OUTCOMES["off_cycle" if failure is None else failure["reason"]]
+        title = f"{example['actuator']} base, ε = {example['burst_deg']:g}°"
+        over_time.set_title(f"{title}, seed {example['trial']}: {outcome}", fontsize=9)
+        steps, outputs = np.array(series["step"]), np.array(series["outputs_deg"])
+        curves = [
+            (outputs[:, steps >= BURST_BEGIN], ORANGE),
+            (outputs[:, (steps >= BURST_BEGIN - 2_000) & (steps < BURST_BEGIN)], BLACK),
+        ]
+        draw_portrait(portrait, np.array(series["target_deg"])[:, :100], curves)
+    for (actuator, entry), colour, marker in zip(
+        result["bases"].items(), (GREEN, PURPLE), "os", strict=True
+    ):
+        lost.plot(
+            [burst["burst_deg"] for burst in entry["bursts"]],
+            [100 * burst["lost_fraction"] for burst in entry["bursts"]],
+            color=colour,
+            marker=marker,
+            markersize=5,
+            linewidth=1.2,
+            label=f"{actuator} base, R = {entry['amplitude_deg']:g}°",
+        )
+    lost.set_xscale("log")
+    lost.set(ylim=(-5, 105))
+    lost.set_xlabel("half width of the noise ε (degrees)", fontsize=9)
+    lost.set_ylabel(f"lost of {result['trials']} trials (%)", fontsize=9)
+    lost.legend(fontsize=8, frameon=False)
+    explain_outputs(
+        figure, burst=True, more=[(BLACK, "before the noise"), (ORANGE, "since the noise began")]
+    )
+    save_figure(figure, path)
+
+
+EXPERIMENT = Experiment("figure11", EXPERIMENTS["figure11"], 15, run, draw, tables)

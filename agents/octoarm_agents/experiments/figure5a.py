@@ -1,0 +1,202 @@
+"""Figure 5A: errors of the emulation tasks against the range R of the base (section 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
+from octoarm_agents.experiments.statistics import summarise
+from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
+from octoarm_agents.experiments.task1_trials import score_arm
+
+__all__ = ["EXPERIMENT", "RANGES", "check_features"]
+
+RANGES = tuple(float(amplitude) for amplitude in range(15, 91, 5))
+"""R [degrees]."""
+
+PAPER_FEATURES = {
+    "highest_at_smallest_range": "In all tasks, R around 15 shows the highest errors.",
+    "second_order_local_maximum_near_45": "The error of the 2nd-order system starts to increase "
+    "again at around R = 30 and has a local maximum at around R = 45.",
+    "tenth_order_monotone": "The error of the 10th-order system decreases monotonically with R.",
+    "volterra_minimum_near_55": "The error of the Volterra task has its minimum at around R = 55 "
+    "and increases monotonically beyond.",
+}
+"""What section 3.1 says of the figure."""
+
+AROUND = 5.0
+"""How far from the R that the paper names "around" reaches: one point of the grid [degrees]."""
+
+
+def run(context: Context) -> dict[str, Any]:
+    """Errors at each R; ``--range`` restricts the grid to that R."""
+    check_timestep(context.parameters)
+    assert context.trials is not None
+    ranges = RANGES if context.amplitude is None else (context.amplitude,)
+    results = context.run(
+        "figure5a",
+        score_arm,
+        [
+            {"kind": "sines", "amplitude": amplitude, "seed": context.seed, "trial": trial}
+            for amplitude in ranges
+            for trial in range(context.trials)
+        ],
+    )
+    points = []
+    for index, amplitude in enumerate(ranges):
+        trials = results[index * context.trials : (index + 1) * context.trials]
+        points.append(_point(amplitude, trials))
+    medians = {task: [point["tasks"][task]["median"] for point in points] for task in TASKS}
+    return {
+        "ranges_deg": list(ranges),
+        "trials": context.trials,
+        "points": points,
+        "paper": PAPER_FEATURES,
+        "confirmed": None if context.amplitude is not None else check_features(ranges, medians),
+    }
+
+
+def _point(amplitude: float, trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the trials at one R gave."""
+    finished = [trial for trial in trials if trial["failure"] is None]
+    tasks = {}
+    for task in TASKS:
+        errors = [trial["arm"]["test"][task] for trial in finished]
+        quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
+        names = ("lower_quartile", "median", "upper_quartile")
+        tasks[task] = summarise(errors) | dict(zip(names, quartiles, strict=True))
+    return {
+        "range_deg": amplitude,
+        "failures": [
+            {"trial": trial["trial"]} | trial["failure"]
+            for trial in trials
+            if trial["failure"] is not None
+        ],
+        "tasks": tasks,
+    }
+
+
+def check_features(
+    ranges: Sequence[float], medians: Mapping[str, Sequence[float | None]]
+) -> dict[str, bool]:
+    """Whether each of `PAPER_FEATURES` is there, judged by the medians over trials.
+
+    Args:
+        ranges: R [degrees], increasing.
+        medians: error at each R by task; None where every trial failed. Such an R is left out, and
+            a feature that needs it is not confirmed.
+
+    Returns:
+        True or False for each feature.
+    """
+    found = {
+        task: [(r, e) for r, e in zip(ranges, values, strict=True) if e is not None]
+        for task, values in medians.items()
+    }
+    complete = all(len(points) == len(ranges) for points in found.values())
+    second, tenth, volterra = (np.array([error for _, error in found[task]]) for task in TASKS)
+    return {
+        "highest_at_smallest_range": all(
+            len(points) > 1
+            and points[0][0] == ranges[0]
+            and points[0][1] == max(error for _, error in points)
+            for points in found.values()
+        ),
+        "second_order_local_maximum_near_45": any(
+            second[k] > second[k - 1]
+            and second[k] > second[k + 1]
+            and abs(found["second_order"][k][0] - 45.0) <= AROUND
+            for k in range(1, len(second) - 1)
+        ),
+        "tenth_order_monotone": complete and bool((np.diff(tenth) < 0).all()),
+        "volterra_minimum_near_55": complete
+        and abs(found["volterra"][int(volterra.argmin())][0] - 55.0) <= AROUND
+        and bool((np.diff(volterra[int(volterra.argmin()) :]) > 0).all()),
+    }
+
+
+def tables(result: Mapping[str, Any]) -> list[ResultTable]:
+    """Median errors by R, and the paper's features."""
+    rows = [
+        (
+            f"{point['range_deg']:g}",
+            *(
+                "–"
+                if point["tasks"][task]["median"] is None
+                else f"{point['tasks'][task]['median']:.2e}"
+                for task in TASKS
+            ),
+            str(len(point["failures"])),
+        )
+        for point in result["points"]
+    ]
+    by_range = ResultTable(
+        f"Median of the mean squared error, {result['trials']} trials",
+        ("R (degrees)", "2nd order", "10th order", "Volterra", "failed trials"),
+        rows,
+    )
+    if result["confirmed"] is None:
+        return [by_range]
+    features = [
+        (text, "yes" if result["confirmed"][name] else "no")
+        for name, text in result["paper"].items()
+    ]
+    return [by_range, ResultTable("The paper's observations", ("", "confirmed"), features)]
+
+
+def draw(result: Mapping[str, Any], path: Path) -> None:
+    """Median and quartiles against R, one panel a task; a mark where trials failed."""
+    from octoarm_agents.experiments.figures import (
+        GREY,
+        TASK_COLOURS,
+        TASK_LABELS,
+        new_figure,
+        save_figure,
+        write_letters,
+    )
+
+    figure = new_figure(11.0, 3.8)
+    panels = figure.subplots(1, 3)
+    failed = [point for point in result["points"] if point["failures"]]
+    for axes, task in zip(panels, TASKS, strict=True):
+        points = [p for p in result["points"] if p["tasks"][task]["median"] is not None]
+        ranges = [point["range_deg"] for point in points]
+        low, middle, high = (
+            np.array([point["tasks"][task][name] for point in points])
+            for name in ("lower_quartile", "median", "upper_quartile")
+        )
+        axes.errorbar(
+            ranges,
+            middle,
+            yerr=(middle - low, high - middle),
+            color=TASK_COLOURS[task],
+            marker="o",
+            markersize=4,
+            linewidth=1.2,
+            capsize=3,
+            label=f"median and quartiles of {result['trials']} trials",
+        )
+        for index, point in enumerate(failed):
+            axes.axvline(
+                point["range_deg"],
+                color=GREY,
+                linestyle=":",
+                label="trials failed here" if index == 0 else None,
+            )
+        if points:
+            axes.set_yscale("log")
+        axes.set_title(TASK_LABELS[task], fontsize=10)
+        axes.set_xlabel("range of the base R (degrees)")
+    panels[0].set_ylabel("mean squared error")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=2, loc="outside lower center")
+    write_letters(list(panels))
+    save_figure(figure, path)
+
+
+EXPERIMENT = Experiment("figure5a", EXPERIMENTS["figure5a"], TRIALS, run, draw, tables)

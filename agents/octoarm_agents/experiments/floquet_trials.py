@@ -1,0 +1,162 @@
+"""The trial of the Floquet map: many readouts of one teacher, what they are like and what they do.
+
+A trial of `octoarm_agents.experiments.trials`: plain numbers in and out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.experiments.task2_trials import hold_cycle
+from octoarm_agents.reservoir.closed_loop import describe_domain_error
+from octoarm_agents.reservoir.floquet import TeacherRun
+from octoarm_agents.reservoir.teaching import Lesson, Teaching
+from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
+
+__all__ = ["PHASE_ERROR", "RESPONSE_NOISES", "leading_exponent", "noise_response", "probe_loops"]
+
+Float = NDArray[np.float64]
+
+RESPONSE_NOISES = (1e-5, 1e-4)
+"""Half widths of the noise that a loop's response is measured with, in units of R. The water's
+force on a strut jumps where the flow turns over to its other side (the lift of the body does not
+vanish there), so that even much smaller noise makes deviations of some 1e-6."""
+
+RESPONSE_TURNS = 8
+"""Turns of the cycle over which exponents are averaged and responses followed."""
+
+PHASE_ERROR = 0.3
+"""By how much the phase's exponent, zero over many turns, may then differ from zero [1/s]."""
+
+_BEGIN = 5_000
+"""Step of the teacher's run at which a response begins; by then cycle and body are settled."""
+
+
+def probe_loops(
+    parameters: ArmParameters,
+    *,
+    teaching: Mapping[str, Any],
+    noises: Sequence[float],
+    factors: Sequence[float],
+    steps: int,
+) -> dict[str, Any]:
+    """Fit readouts to one teacher, look at the stability of their loops, and let the arm go.
+
+    Args:
+        parameters: the body.
+        teaching: keyword arguments of `Teaching`, direct or servo.
+        noises: ν [m], in place of the teaching's.
+        factors: of the teaching's κ; 0 is the paper's training.
+        steps: of the closed loop.
+
+    Returns:
+        ``failure`` (None, or the domain error of an arm that could not follow the teacher) and
+        ``loops``, one for each factor and ν: ``factor``, ``noise``, ``training_error`` in units of
+        R, ``exponents`` (the largest five [1/s], largest first; empty if the loop's gain is beyond
+        all bounds), ``leading_exponent``, ``responses`` (`noise_response` to each of
+        `RESPONSE_NOISES`), ``steps`` made, ``loop_failure``, ``scores`` (None after a failure) and
+        ``held``.
+    """
+    how = Teaching(**teaching)
+    try:
+        lesson = Lesson(parameters, how)
+        fits = [
+            (factor, noise, *lesson.weights(noise, [factor * size for size in how.disturbances]))
+            for factor in factors
+            for noise in noises
+        ]
+    except DomainError as error:
+        return {"failure": {"stage": "teaching"} | describe_domain_error(error), "loops": []}
+    turn = LIMIT_CYCLES[how.target].period / parameters.timestep
+    averaged = min(round(RESPONSE_TURNS * turn), len(lesson.run.lengths) - _BEGIN - 1_000)
+    loops = []
+    for factor, noise, weights, training_error in fits:
+        exponents = [float(value) for value in lesson.exponents(weights, averaged)]
+        held = hold_cycle(
+            parameters,
+            target=how.target,
+            amplitude=how.amplitude,
+            actuator=lesson.run.actuator,
+            weights=weights.tolist(),
+            steps=steps,
+        )
+        loops.append(
+            {
+                "factor": factor,
+                "noise": noise,
+                "training_error": training_error / how.amplitude,
+                "exponents": exponents,
+                "leading_exponent": leading_exponent(exponents),
+                "responses": [
+                    noise_response(lesson.run, weights, size, averaged) for size in RESPONSE_NOISES
+                ],
+                "steps": held["steps"],
+                "loop_failure": held["failure"],
+                "scores": held["scores"],
+                "held": held["survived"] and held["scores"]["held"],
+            }
+        )
+    return {"failure": None, "loops": loops}
+
+
+def leading_exponent(exponents: Sequence[float]) -> float | None:
+    """The largest exponent beside the phase's.
+
+    Args:
+        exponents: the largest first [1/s].
+
+    Returns:
+        The largest if it is above `PHASE_ERROR`, else the next, for then the largest is that of the
+        phase, or as small; None if there are not two.
+    """
+    if len(exponents) < 2:
+        return None
+    return exponents[0] if exponents[0] > PHASE_ERROR else exponents[1]
+
+
+def noise_response(
+    run: TeacherRun, weights: Float, size: float, steps: int, seed: int = 0
+) -> float | None:
+    """How far white noise on the outputs moves them, in a loop that is kept on the teacher's orbit.
+
+    What the readout says wrongly of the teacher's own lengths is taken off, so that without noise
+    the loop stays on the orbit, stable or not. Only the part of the deviation across the orbit is
+    measured: along it the phase wanders, and nothing calls it back.
+
+    Args:
+        run: the orbit.
+        weights: (springs, 2) [degrees/m].
+        size: half width of the noise, uniform, anew each step, in units of R.
+        steps: for which noise is added; the second half is measured.
+        seed: of the noise.
+
+    Returns:
+        Root mean square of the deviation across the orbit over that of the noise on one output;
+        None if the arm left its domain.
+
+    Raises:
+        ValueError: the run is too short.
+    """
+    end = _BEGIN + steps
+    if end > len(run.lengths):
+        raise ValueError(
+            f"steps = {steps}: expected at most {len(run.lengths) - _BEGIN}, the teacher's run is"
+            " no longer"
+        )
+    half_width = size * run.amplitude
+    noise = np.random.default_rng(seed).uniform(-half_width, half_width, (steps, 2))
+    offsets = run.offsets(weights, _BEGIN, end)
+    try:
+        outputs, _ = run.arm_after(_BEGIN).run_closed_loop(weights, steps, offsets + noise)
+    except DomainError:
+        return None
+    deviations = outputs + offsets - run.signal[_BEGIN:end]
+    along = np.gradient(run.signal, axis=0)[_BEGIN:end]
+    across = deviations[:, 0] * along[:, 1] - deviations[:, 1] * along[:, 0]
+    across /= np.hypot(along[:, 0], along[:, 1])
+    return float(np.sqrt(np.square(across[steps // 2 :]).mean())) / (half_width / math.sqrt(3))

@@ -1,0 +1,232 @@
+"""Table 2: errors of the emulation tasks, beside what needs no body (section 3.1).
+
+Besides the paper's two columns: baselines on the same rows, the same table with an input that has
+no simple structure, errors under sensor noise, training errors, and the rank of the states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
+from octoarm_agents.experiments.statistics import summarise, welch_p_value
+from octoarm_agents.experiments.task1 import (
+    HOLD_STEPS,
+    INPUTS,
+    PAPER,
+    RANGE,
+    TASKS,
+    TRIALS,
+    check_timestep,
+)
+from octoarm_agents.experiments.task1_trials import compare_methods
+from octoarm_agents.reservoir.baselines import BASELINES
+
+__all__ = ["EXPERIMENT"]
+
+METHODS = ("arm", *BASELINES)
+
+SENSOR_NOISE = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
+"""Standard deviations of the normal noise on the lengths, in training and test [m]."""
+
+IID_RANGE_FACTOR = 0.5
+"""The random input is driven at half of R: at R = 60 its largest leaps, of up to 120 degrees within
+50 ms, throw a directly driven arm out of its domain; at 30 they do not."""
+
+
+def run(context: Context) -> dict[str, Any]:
+    """The table, as the keys of ``table2.json``."""
+    check_timestep(context.parameters)
+    assert context.trials is not None
+    amplitude = RANGE if context.amplitude is None else context.amplitude
+    amplitudes = {"sines": amplitude, "iid": amplitude * IID_RANGE_FACTOR}
+    results = context.run(
+        "table2",
+        compare_methods,
+        [
+            {
+                "kind": kind,
+                "amplitude": amplitudes[kind],
+                "seed": context.seed,
+                "trial": trial,
+                "sensor_noise": list(SENSOR_NOISE),
+            }
+            for kind in INPUTS
+            for trial in range(context.trials)
+        ],
+    )
+    sines, iid = results[: context.trials], results[context.trials :]
+    table = _tabulate(sines, amplitudes["sines"])
+    for task in TASKS:
+        entry, paper = table["tasks"][task], PAPER[task]
+        entry["paper"] = {method: mean for method, (mean, _) in paper.items()}
+        entry["paper_sd"] = {method: sd for method, (_, sd) in paper.items()}
+        entry["ratio_to_paper"] = {
+            method: None if entry[method]["mean"] is None else entry[method]["mean"] / mean
+            for method, (mean, _) in paper.items()
+        }
+    return table | {"iid": _tabulate(iid, amplitudes["iid"]) | {"hold_steps": HOLD_STEPS}}
+
+
+def _tabulate(trials: Sequence[Mapping[str, Any]], amplitude: float) -> dict[str, Any]:
+    """The table of one input."""
+    finished = [trial for trial in trials if trial["failure"] is None]
+    tasks: dict[str, Any] = {}
+    for task in TASKS:
+        errors = {
+            phase: {"arm": [trial["arm"][phase][task] for trial in finished]}
+            | {
+                name: [trial["baselines"][name][phase][task] for trial in trials]
+                for name in BASELINES
+            }
+            for phase in ("test", "training")
+        }
+        tasks[task] = {
+            method: summarise(errors["test"][method])
+            | {"training_mean": summarise(errors["training"][method])["mean"]}
+            for method in METHODS
+        }
+        tasks[task]["p_value"] = welch_p_value(
+            errors["test"]["arm"], errors["test"]["linear_regressor"]
+        )
+    ranks = [trial["state_rank"] for trial in finished]
+    return {
+        "range_deg": amplitude,
+        "trials": len(trials),
+        "failures": [
+            {"trial": trial["trial"]} | trial["failure"]
+            for trial in trials
+            if trial["failure"] is not None
+        ],
+        "initial_steps": [trial["initial_steps"] for trial in trials],
+        "state_rank": float(np.median(ranks)) if ranks else None,
+        "tasks": tasks,
+        "sensor_noise": [
+            {"sd_metres": level}
+            | {
+                task: summarise([trial["sensor_noise"][k]["test"][task] for trial in finished])
+                for task in TASKS
+            }
+            for k, level in enumerate(SENSOR_NOISE)
+        ],
+    }
+
+
+def tables(result: Mapping[str, Any]) -> list[ResultTable]:
+    """Both inputs' errors, and those under sensor noise."""
+    return [
+        _error_table("Mean squared error, input of Eq. 17", result),
+        _error_table("Mean squared error, i.i.d. input", result["iid"]),
+        ResultTable(
+            "Mean squared error of the arm with noise on the lengths, input of Eq. 17",
+            ("standard deviation", *TASK_HEADINGS),
+            [
+                (
+                    f"{level['sd_metres']:.0e} m",
+                    *(_mean_and_spread(level[task]) for task in TASKS),
+                )
+                for level in result["sensor_noise"]
+            ],
+        ),
+    ]
+
+
+TASK_HEADINGS = ("2nd order", "10th order", "Volterra")
+
+_METHOD_LABELS = {
+    "arm": "arm",
+    "linear_regressor": "linear regressor",
+    "mean_predictor": "training mean",
+    "cubic": "cubic of In(t)",
+    "delay2": "11 delays, degree 2",
+    "delay3": "6 delays, degree 3",
+    "esn80": "80-node network",
+}
+
+
+def _error_table(title: str, table: Mapping[str, Any]) -> ResultTable:
+    tasks = [table["tasks"][task] for task in TASKS]
+    rows = []
+    for method in METHODS:
+        rows.append((_METHOD_LABELS[method], *(_mean_and_spread(entry[method]) for entry in tasks)))
+        if method in tasks[0].get("paper", ()):
+            rows.append(
+                (
+                    "  in the paper",
+                    *(f"{e['paper'][method]:.2e} ± {e['paper_sd'][method]:.0e}" for e in tasks),
+                )
+            )
+    rows.append(("p, arm / regressor", *(_number(entry["p_value"]) for entry in tasks)))
+    notes = [f"Trial {each['trial']} failed: {each['message']}." for each in table["failures"]]
+    return ResultTable(
+        f"{title}, R = {table['range_deg']:g}°, {table['trials']} trials,"
+        f" state rank {_number(table['state_rank'], 'g')}",
+        ("method", *TASK_HEADINGS),
+        rows,
+        notes,
+    )
+
+
+def _mean_and_spread(summary: Mapping[str, Any]) -> str:
+    spread = "" if summary["sd"] is None else f" ± {summary['sd']:.0e}"
+    return f"{_number(summary['mean'])}{spread}"
+
+
+def _number(value: float | None, form: str = ".2e") -> str:
+    return "–" if value is None else f"{value:{form}}"
+
+
+def draw(result: Mapping[str, Any], path: Path) -> None:
+    """Bars on a logarithmic axis: a row for each input, a column for each task."""
+    from octoarm_agents.experiments.figures import TASK_LABELS, new_figure, save_figure
+    from octoarm_agents.experiments.figures import write_letters as letter
+
+    figure = new_figure(12.0, 6.6)
+    panels = figure.subplots(2, 3)
+    for row, (table, name) in enumerate(((result, "input of Eq. 17"), (result["iid"], "i.i.d."))):
+        for column, task in enumerate(TASKS):
+            axes = panels[row, column]
+            _draw_bars(axes, table["tasks"][task], labelled=column == 0)
+            axes.set_xlabel(f"mean squared error, {name}, R = {table['range_deg']:g}°")
+            axes.set_title(TASK_LABELS[task], fontsize=10)
+    letter(list(panels.flat))
+    save_figure(figure, path)
+
+
+def _draw_bars(axes: Any, entry: Mapping[str, Any], *, labelled: bool) -> None:
+    """One bar a method, with its standard deviation and its value."""
+    from octoarm_agents.experiments.figures import BLUE, GREY, ORANGE, VERMILLION
+
+    bars: list[tuple[str, float | None, float | None, str]] = []
+    for method in METHODS:
+        colour = {"arm": BLUE, "linear_regressor": VERMILLION}.get(method, GREY)
+        summary = entry[method]
+        bars.append((_METHOD_LABELS[method], summary["mean"], summary["sd"], colour))
+        if method in entry.get("paper", ()):
+            label = f"{_METHOD_LABELS[method]}, paper"
+            bars.append((label, entry["paper"][method], entry["paper_sd"][method], ORANGE))
+    values = [mean for _, mean, _, _ in bars if mean is not None]
+    high = max(values)
+    # A method that makes a task's own formula would stretch the axis by 25 powers of ten.
+    low = max(min(values) / 3, high * 1e-7)
+    for place, (_, mean, sd, colour) in enumerate(bars):
+        if mean is None:
+            axes.text(low * 1.2, place, "left its domain", fontsize=8, va="center", color=GREY)
+            continue
+        error = None if sd is None else [[min(sd, 0.999 * mean)], [sd]]
+        axes.barh(place, max(mean, low), xerr=error, color=colour, height=0.7, capsize=2)
+        text = f"{mean:.1e}" + (" (off the axis)" if mean < low else "")
+        end = max(mean + (sd or 0.0), low)
+        axes.text(end * 1.25, place, text, fontsize=8, va="center")
+    axes.set_xscale("log")
+    axes.set_xlim(low, high * (high / low) ** 0.35)
+    axes.set_yticks(range(len(bars)), [label for label, *_ in bars] if labelled else [])
+    axes.set_ylim(len(bars) - 0.4, -0.6)
+
+
+EXPERIMENT = Experiment("table2", EXPERIMENTS["table2"], TRIALS, run, draw, tables)

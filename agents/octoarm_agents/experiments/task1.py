@@ -1,0 +1,202 @@
+"""The protocol of Task 1 that its table and figures share (section 2.2.1).
+
+A trial sets the arm at rest, drives it for T_ini timesteps, then for 1000 of washout, 10,000 of
+training and 5000 of test, all with the same input. T_ini is drawn uniformly from 0 to 1000. A row t
+of features may use what is known at t, and is to give y(t + 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.reservoir.emulation import SYSTEMS, emulation_targets
+from octoarm_agents.reservoir.inputs import (
+    PEAK,
+    TIMESTEP,
+    base_angles,
+    product_of_sines,
+    smooth_noise,
+)
+from octoarm_agents.reservoir.readout import Readout
+from octoarm_env import Arm, ArmParameters, DomainError
+
+__all__ = [
+    "HOLD_STEPS",
+    "INITIAL_STEPS",
+    "INPUTS",
+    "PAPER",
+    "RANGE",
+    "TASKS",
+    "TEST_STEPS",
+    "TRAINING_STEPS",
+    "TRIALS",
+    "WASHOUT_STEPS",
+    "Drive",
+    "check_timestep",
+    "describe_failure",
+    "fit_readout",
+    "mean_squared_errors",
+    "record_lengths",
+    "score_features",
+    "trial_streams",
+]
+
+Float = NDArray[np.float64]
+Scores = dict[str, dict[str, float]]
+
+INITIAL_STEPS = 1_000
+WASHOUT_STEPS = 1_000
+TRAINING_STEPS = 10_000
+TEST_STEPS = 5_000
+TRIALS = 20
+RANGE = 60.0
+"""Section 2.2.1; R [degrees] is that of Table 2 and of Figures 4, 5B and 5C."""
+
+HOLD_STEPS = 50
+"""Timesteps between the independent values of the input ``iid``."""
+
+INPUTS = ("sines", "iid")
+"""Eq. 17, and `smooth_noise`."""
+
+TASKS = tuple(SYSTEMS)
+
+PAPER: dict[str, dict[str, tuple[float, float]]] = {
+    "second_order": {"arm": (1.84e-7, 0.05e-7), "linear_regressor": (1.01e-6, 0.03e-6)},
+    "tenth_order": {"arm": (3.77e-6, 0.03e-6), "linear_regressor": (5.05e-4, 0.11e-4)},
+    "volterra": {"arm": (8.89e-5, 0.18e-5), "linear_regressor": (9.28e-4, 0.11e-4)},
+}
+"""Table 2: mean and standard deviation of the mean squared error over 20 trials."""
+
+_LONGEST = INITIAL_STEPS + WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One trial's input, and what is to be computed from it. No arm is needed for it.
+
+    Attributes:
+        signal: In, (T_ini + 16,000,).
+        targets: (T_ini + 16,000, 3), y(t + 1) of each of `TASKS`.
+        initial: T_ini.
+        peak: max|In| over the longest trial there can be, so that Scale is the same in all.
+    """
+
+    signal: Float
+    targets: Float
+    initial: int
+    peak: float
+
+    @classmethod
+    def make(cls, kind: str, seed: int, trial: int) -> Drive:
+        """Draw T_ini, and the input too if it is the random one, from (seed, trial).
+
+        Args:
+            kind: one of `INPUTS`.
+            seed: of the experiment.
+            trial: number of the trial.
+
+        Raises:
+            ValueError: an unknown kind.
+        """
+        random = np.random.default_rng(np.random.SeedSequence([seed, trial]))
+        initial = int(random.integers(0, INITIAL_STEPS, endpoint=True))
+        steps = initial + WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
+        if kind == "sines":
+            longest = product_of_sines(_LONGEST)
+            signal, peak = longest[:steps], float(np.abs(longest).max())
+        elif kind == "iid":
+            signal, peak = smooth_noise(steps, random, hold=HOLD_STEPS), PEAK
+        else:
+            raise ValueError(f"kind = {kind!r}: expected one of {list(INPUTS)}")
+        return cls(signal, emulation_targets(signal), initial, peak)
+
+    @property
+    def training(self) -> slice:
+        """Rows of the training phase."""
+        begin = self.initial + WASHOUT_STEPS
+        return slice(begin, begin + TRAINING_STEPS)
+
+    @property
+    def test(self) -> slice:
+        """Rows of the evaluation phase."""
+        begin = self.initial + WASHOUT_STEPS + TRAINING_STEPS
+        return slice(begin, begin + TEST_STEPS)
+
+
+def trial_streams(seed: int, trial: int, count: int) -> list[np.random.Generator]:
+    """Generators of a trial for what is random beside the input, independent of it.
+
+    Args:
+        seed: of the experiment.
+        trial: number of the trial.
+        count: how many; the first ones are the same for any count.
+    """
+    return [
+        np.random.default_rng(child) for child in np.random.SeedSequence([seed, trial]).spawn(count)
+    ]
+
+
+def record_lengths(parameters: ArmParameters, drive: Drive, amplitude: float) -> Float:
+    """Spring lengths of an arm that starts at rest and follows the drive.
+
+    Args:
+        parameters: the body.
+        drive: the trial's input.
+        amplitude: R [degrees].
+
+    Returns:
+        (T_ini + 16,000, springs) [m]; row t is the lengths after the step to θ(t) = φ(t).
+
+    Raises:
+        DomainError: the arm left its domain.
+        ValueError: a body with another timestep than the paper's.
+    """
+    check_timestep(parameters)
+    return Arm(parameters).run(base_angles(drive.signal, amplitude, drive.peak))
+
+
+def check_timestep(parameters: ArmParameters) -> None:
+    """Refuse a body with which In(t) and the targets would be of another timestep."""
+    if parameters.timestep != TIMESTEP:
+        raise ValueError(
+            f"timestep = {parameters.timestep}: the emulation tasks are defined at {TIMESTEP} s"
+        )
+
+
+def fit_readout(features: Float, drive: Drive) -> Readout:
+    """The paper's readout: Moore-Penrose pseudo-inverse on the training rows, no bias."""
+    return Readout("pinv").fit(features[drive.training], drive.targets[drive.training])
+
+
+def mean_squared_errors(outputs: Float, targets: Float) -> dict[str, float]:
+    """Mean squared error of outputs (T, 3) by task."""
+    errors = np.square(outputs - targets).mean(axis=0)
+    return dict(zip(TASKS, errors.tolist(), strict=True))
+
+
+def score_features(features: Float, drive: Drive) -> tuple[Scores, Readout]:
+    """Fit the readout on the training rows of some features, and measure it.
+
+    Args:
+        features: (T_ini + 16,000, n), from which y(t + 1) is to be computed.
+        drive: the trial.
+
+    Returns:
+        ``({"test": {task: error}, "training": {task: error}}, readout)``.
+    """
+    readout = fit_readout(features, drive)
+    scores = {
+        phase: mean_squared_errors(readout.predict(features[rows]), drive.targets[rows])
+        for phase, rows in (("test", drive.test), ("training", drive.training))
+    }
+    return scores, readout
+
+
+def describe_failure(error: DomainError) -> dict[str, Any]:
+    """A domain error as plain numbers."""
+    names = ("limit", "compartment", "value", "low", "high", "time")
+    return {"message": str(error)} | {name: getattr(error, name) for name in names}

@@ -1,0 +1,163 @@
+"""The trials of Task 1: each gives the errors of one run of the arm, as plain numbers.
+
+A trial whose arm leaves its domain says so in ``failure`` and has no errors of the arm.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.experiments.task1 import (
+    Drive,
+    describe_failure,
+    fit_readout,
+    mean_squared_errors,
+    record_lengths,
+    score_features,
+    trial_streams,
+)
+from octoarm_agents.reservoir.baselines import BASELINES
+from octoarm_agents.reservoir.readout import Readout
+from octoarm_env import ArmParameters, DomainError
+
+__all__ = ["compare_methods", "leave_out_compartments", "score_arm"]
+
+Float = NDArray[np.float64]
+
+SPRINGS_PER_COMPARTMENT = 4
+
+
+def score_arm(
+    parameters: ArmParameters, *, kind: str, amplitude: float, seed: int, trial: int
+) -> dict[str, Any]:
+    """Errors of the arm's readout.
+
+    Args:
+        parameters: the body.
+        kind: of input, see `Drive.make`.
+        amplitude: R [degrees].
+        seed: of the experiment.
+        trial: number of the trial.
+
+    Returns:
+        ``trial``, ``initial_steps``, ``failure`` (None or the message and its numbers) and, if the
+        arm stayed in its domain, ``arm`` ({phase: {task: error}}) and ``state_rank``.
+    """
+    drive = Drive.make(kind, seed, trial)
+    result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
+    try:
+        lengths = record_lengths(parameters, drive, amplitude)
+    except DomainError as error:
+        return result | {"failure": describe_failure(error)}
+    scores, readout = score_features(lengths, drive)
+    return result | {"arm": scores, "state_rank": readout.rank_}
+
+
+def compare_methods(
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    sensor_noise: list[float],
+) -> dict[str, Any]:
+    """Errors of the arm, of the baselines on the same rows, and of the arm seen through noise.
+
+    Args:
+        parameters: the body.
+        kind: of input, see `Drive.make`.
+        amplitude: R [degrees].
+        seed: of the experiment.
+        trial: number of the trial.
+        sensor_noise: standard deviations [m] of the normal noise that is added to the lengths, for
+            training and test.
+
+    Returns:
+        As `score_arm`, with ``baselines`` ({name: {phase: {task: error}}}) and ``sensor_noise``
+        (one {phase: {task: error}} a level).
+    """
+    drive = Drive.make(kind, seed, trial)
+    network_stream, noise_stream = trial_streams(seed, trial, 2)
+    result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
+    result["baselines"] = {
+        name: score_features(features(drive.signal, network_stream), drive)[0]
+        for name, features in BASELINES.items()
+    }
+    try:
+        lengths = record_lengths(parameters, drive, amplitude)
+    except DomainError as error:
+        return result | {"failure": describe_failure(error)}
+    scores, readout = score_features(lengths, drive)
+    noisy = [
+        score_features(lengths + noise_stream.normal(0.0, level, lengths.shape), drive)[0]
+        for level in sensor_noise
+    ]
+    return result | {"arm": scores, "state_rank": readout.rank_, "sensor_noise": noisy}
+
+
+def leave_out_compartments(
+    parameters: ArmParameters, *, kind: str, amplitude: float, seed: int, trial: int
+) -> dict[str, Any]:
+    """Errors with one compartment's four springs left out, at the test alone or from the start.
+
+    Args:
+        parameters: the body.
+        kind: of input, see `Drive.make`.
+        amplitude: R [degrees].
+        seed: of the experiment.
+        trial: number of the trial.
+
+    Returns:
+        ``trial``, ``initial_steps``, ``failure`` and, if the arm stayed in its domain, test errors:
+        ``full`` ({task: error}) with all springs, ``zeroed`` (one {task: error} a compartment) with
+        its trained weights set to zero, ``retrained`` (likewise) with a readout trained without it.
+    """
+    drive = Drive.make(kind, seed, trial)
+    result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
+    try:
+        lengths = record_lengths(parameters, drive, amplitude)
+    except DomainError as error:
+        return result | {"failure": describe_failure(error)}
+    readout = fit_readout(lengths, drive)
+    test, targets = lengths[drive.test], drive.targets[drive.test]
+    outputs = readout.predict(test)
+    zeroed, retrained = [], []
+    for springs, reduced in _reduced_weights(lengths, drive):
+        # What the compartment's springs add to the outputs, taken away again.
+        without = outputs - test[:, springs] @ readout.weights_[springs]
+        zeroed.append(mean_squared_errors(without, targets))
+        kept = np.delete(test, springs, axis=1)
+        retrained.append(mean_squared_errors(kept @ reduced, targets))
+    return result | {
+        "full": mean_squared_errors(outputs, targets),
+        "zeroed": zeroed,
+        "retrained": retrained,
+    }
+
+
+def _reduced_weights(lengths: Float, drive: Drive) -> list[tuple[slice, Float]]:
+    """Weights of the readout trained without each compartment.
+
+    The training rows are reduced once to their triangular factor, which has the same least-squares
+    solution, singular values and pseudo-inverse for any choice of columns.
+
+    Returns:
+        For each compartment its columns, and the weights (springs - 4, 3) of all others.
+    """
+    count = lengths.shape[1]
+    training = np.hstack((lengths[drive.training], drive.targets[drive.training]))
+    # (NumPy's stubs know only the mode that returns a pair.)
+    triangle = cast("Float", np.linalg.qr(training, mode="r"))
+    # The default for the training rows; that for the factor's few would be smaller.
+    tolerance = max(len(training), count) * float(np.finfo(np.float64).eps)
+    reduced = []
+    for begin in range(0, count, SPRINGS_PER_COMPARTMENT):
+        springs = slice(begin, begin + SPRINGS_PER_COMPARTMENT)
+        factor = np.delete(triangle[:, :count], springs, axis=1)
+        fitted = Readout("pinv", tolerance=tolerance).fit(factor, triangle[:, count:])
+        reduced.append((springs, fitted.weights_))
+    return reduced

@@ -1,0 +1,286 @@
+"""The trials of task 2: teach a cycle, hold it, disturb it (section 2.2.2, 3.2).
+
+Every function here is a trial of `octoarm_agents.experiments.trials`: plain numbers in and out. A
+teaching comes as the keyword arguments of `Teaching`, a readout as its weights.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.experiments.cycle_series import align_orbit, excerpt, phase_shift
+from octoarm_agents.reservoir.closed_loop import (
+    FORCED_STEPS,
+    WINDOW_STEPS,
+    ClosedLoop,
+    describe_domain_error,
+    recovery_steps,
+    release,
+    score_window,
+)
+from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_agents.reservoir.teaching import Teaching, teach
+from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
+
+__all__ = [
+    "BURST_BEGIN",
+    "BURST_END",
+    "BURST_RUN",
+    "NUDGED_STEPS",
+    "disturb_cycle",
+    "hold_cycle",
+    "nudge_cycle",
+    "teach_cycle",
+]
+
+Float = NDArray[np.float64]
+Actuator = Literal["direct", "servo"]
+
+BURST_BEGIN, BURST_END = 6_000, 7_000
+"""Steps of the closed loop between which noise is added to the outputs, anew each step."""
+
+BURST_RUN = 30_000
+"""Steps of a disturbed run: 23 s to come back in."""
+
+NUDGE_STEP = 6_000
+NUDGED_STEPS = 500
+"""Step whose outputs alone are disturbed, and T, the steps over which that is followed."""
+
+SHOWN_STEPS = 3_000
+DISTURBED_EVERY = 10
+"""Steps shown of the begin and of the end of a run; and every how many of a disturbed run."""
+
+_DISTANCE_EVERY = 5
+"""Steps between two distances when the way back after a burst is looked at."""
+
+
+def teach_cycle(parameters: ArmParameters, *, teaching: Mapping[str, Any]) -> dict[str, Any]:
+    """Teach a readout a cycle.
+
+    Args:
+        parameters: the body.
+        teaching: keyword arguments of `Teaching`.
+
+    Returns:
+        ``failure`` (None, or the domain error of an arm that could not follow the teacher),
+        ``weights`` (springs, 2), ``exponents`` [1/s] largest first, ``training_error_deg`` and
+        ``teaching_seconds``.
+    """
+    started = time.perf_counter()
+    try:
+        taught = teach(parameters, Teaching(**teaching))
+    except DomainError as error:
+        return {"failure": {"stage": "teaching"} | describe_domain_error(error)}
+    return {
+        "failure": None,
+        "weights": taught.readout.weights_.tolist(),
+        "exponents": _finite_numbers(taught.exponents),
+        "training_error_deg": taught.readout.training_error_,
+        "teaching_seconds": time.perf_counter() - started,
+    }
+
+
+def hold_cycle(
+    parameters: ArmParameters,
+    *,
+    target: str,
+    amplitude: float,
+    actuator: Actuator,
+    weights: Sequence[Sequence[float]],
+    steps: int,
+) -> dict[str, Any]:
+    """Let a taught arm go for many steps.
+
+    Args:
+        parameters: the body.
+        target: name of the limit cycle.
+        amplitude: R [degrees].
+        actuator: of the base.
+        weights: of the readout, (springs, 2).
+        steps: of the closed loop.
+
+    Returns:
+        ``steps``, those made; ``survived``, whether these are all; ``failure``; ``scores`` of the
+        last `WINDOW_STEPS` (None after a failure); ``seconds``; ``series``, the begin and the end
+        of the run for the figure.
+    """
+    started = time.perf_counter()
+    cycle = LIMIT_CYCLES[target]
+    loop = ClosedLoop(
+        release(parameters, target, amplitude, actuator), np.array(weights), amplitude
+    )
+    shown = min(SHOWN_STEPS, steps // 2)
+    begin, begin_lengths = loop.record(shown)
+    loop.run(steps - 2 * shown)
+    end, end_lengths = loop.record(shown)
+    outputs, turn = loop.outputs, cycle.period / parameters.timestep
+    scores = None
+    if loop.failure is None:
+        scores = score_window(outputs[-WINDOW_STEPS:], cycle.orbit(amplitude), turn)
+    forced = cycle.signal(FORCED_STEPS + max(len(begin), 1), amplitude)[FORCED_STEPS:]
+    series = [excerpt(0, begin, forced[: len(begin)], begin_lengths)]
+    if len(end):
+        aligned = align_orbit(end, cycle.orbit(amplitude), turn)
+        series.append(excerpt(len(outputs) - len(end), end, aligned, end_lengths))
+    return {
+        "steps": len(outputs),
+        "survived": loop.failure is None,
+        "failure": loop.failure,
+        "scores": scores,
+        "seconds": time.perf_counter() - started,
+        "series": series,
+    }
+
+
+def disturb_cycle(
+    parameters: ArmParameters,
+    *,
+    target: str,
+    amplitude: float,
+    actuator: Actuator,
+    weights: Sequence[Sequence[float]],
+    burst: float,
+    seed: int,
+    trial: int,
+    series: bool = False,
+) -> dict[str, Any]:
+    """Add white noise to the outputs for a while, and see whether the loop comes back.
+
+    Args:
+        parameters: the body.
+        target: name of the limit cycle.
+        amplitude: R [degrees].
+        actuator: of the base.
+        weights: of the readout, (springs, 2).
+        burst: ε, half width of the noise [degrees].
+        seed: of the experiment.
+        trial: number of the trial; its noise is the same, but for the size, for any ε.
+        series: give the outputs too, for the figure.
+
+    Returns:
+        ``burst_deg``, ``trial``; ``failure``; ``held_before``; ``recovered``: the cycle is held
+        before the noise, and again at the end of the run; if so, ``recovery_seconds`` after the
+        noise and ``phase_shift``, by how much the turns are late [turns]; ``farthest``, the largest
+        distance during the noise and after it in units of R (None after a failure); with `series`,
+        ``series``.
+    """
+    cycle = LIMIT_CYCLES[target]
+    orbit, turn = cycle.orbit(amplitude), cycle.period / parameters.timestep
+    loop = ClosedLoop(
+        release(parameters, target, amplitude, actuator), np.array(weights), amplitude
+    )
+    random = np.random.default_rng(np.random.SeedSequence([seed, trial]))
+    noise = burst * random.uniform(-1.0, 1.0, (BURST_END - BURST_BEGIN, 2))
+    loop.run(BURST_BEGIN)
+    loop.run(len(noise), noise)
+    loop.run(BURST_RUN - BURST_END)
+    outputs = loop.outputs
+    before = None
+    if len(outputs) >= BURST_BEGIN:
+        before = score_window(outputs[BURST_BEGIN - WINDOW_STEPS : BURST_BEGIN], orbit, turn)
+    result: dict[str, Any] = {
+        "burst_deg": burst,
+        "trial": trial,
+        "failure": loop.failure,
+        "held_before": before is not None and before["held"],
+        "recovered": False,
+        "recovery_seconds": None,
+        "phase_shift": None,
+        "farthest": None,
+    }
+    if loop.failure is None and before is not None:
+        after = score_window(outputs[-WINDOW_STEPS:], orbit, turn)
+        distances = orbit_distance(outputs[BURST_BEGIN::_DISTANCE_EVERY], orbit) / amplitude
+        since = distances[(BURST_END - BURST_BEGIN) // _DISTANCE_EVERY :]
+        result["farthest"] = float(distances.max())
+        result["recovered"] = before["held"] and after["held"]
+        if result["recovered"]:
+            way = _DISTANCE_EVERY * recovery_steps(since, before["max_distance"])
+            result["recovery_seconds"] = way * parameters.timestep
+            begin, end = BURST_BEGIN - WINDOW_STEPS, BURST_RUN - WINDOW_STEPS
+            result["phase_shift"] = phase_shift(
+                outputs[begin:BURST_BEGIN, 1], outputs[end:, 1], end - begin
+            )
+    if series:
+        forced = cycle.signal(FORCED_STEPS + max(len(outputs), 1), amplitude)[FORCED_STEPS:]
+        result["series"] = excerpt(0, outputs, forced[: len(outputs)], every=DISTURBED_EVERY)
+    return result
+
+
+def nudge_cycle(
+    parameters: ArmParameters,
+    *,
+    target: str,
+    amplitude: float,
+    actuator: Actuator,
+    weights: Sequence[Sequence[float]],
+    nudges: Sequence[float],
+    seed: int,
+    trial: int,
+) -> dict[str, Any]:
+    """Disturb the outputs of one single step, and follow what becomes of it (Figure 13A).
+
+    Args:
+        parameters: the body.
+        target: name of the limit cycle.
+        amplitude: R [degrees].
+        actuator: of the base.
+        weights: of the readout, (springs, 2).
+        nudges: ε, half widths of the noise [degrees].
+        seed: of the experiment.
+        trial: number of the trial; its noise is the same, but for the size, for any ε.
+
+    Returns:
+        ``failure`` of the undisturbed run, else for each of `nudges` the mean squares over
+        `NUDGED_STEPS` of the differences to it: ``outputs`` ([O_1, O_2] [degrees²]) and ``springs``
+        [m²]; None for both where the disturbed run failed.
+    """
+    matrix = np.array(weights)
+    loop = ClosedLoop(release(parameters, target, amplitude, actuator), matrix, amplitude)
+    loop.run(NUDGE_STEP)
+    if loop.failure is not None:
+        return {"failure": loop.failure}
+    random = np.random.default_rng(np.random.SeedSequence([seed, trial]))
+    direction = random.uniform(-1.0, 1.0, 2)
+    start = copy.deepcopy(loop.arm)
+    try:
+        undisturbed = _follow_nudge(start, matrix, np.zeros(2))
+    except DomainError as error:
+        return {"failure": describe_domain_error(error)}
+    results: list[dict[str, Any]] = []
+    for nudge in nudges:
+        try:
+            disturbed = _follow_nudge(start, matrix, nudge * direction)
+        except DomainError:
+            results.append({"outputs": None, "springs": None})
+            continue
+        differences = [b - a for a, b in zip(undisturbed, disturbed, strict=True)]
+        results.append(
+            {
+                "outputs": np.square(differences[0]).mean(axis=0).tolist(),
+                "springs": float(np.square(differences[1]).mean()),
+            }
+        )
+    return {"failure": None, "results": results}
+
+
+def _follow_nudge(start: Any, weights: Float, nudge: Float) -> tuple[Float, Float]:
+    """Outputs and lengths of the steps after one whose outputs are disturbed; `start` stays."""
+    arm = copy.deepcopy(start)
+    noise = np.zeros((NUDGED_STEPS + 1, 2))
+    noise[0] = nudge
+    outputs, lengths = arm.run_closed_loop(weights, len(noise), noise)
+    # The outputs of the disturbed step itself were said before the noise; it moves the springs at
+    # once, and the outputs from the next step on.
+    return outputs[1:], lengths[:-1]
+
+
+def _finite_numbers(values: Float) -> list[float | None]:
+    return [float(value) if math.isfinite(value) else None for value in values]

@@ -1,0 +1,192 @@
+"""Independent trials: run side by side, kept on disk as they finish, taken up again later."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.util
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from octoarm_agents.files import write_json
+from octoarm_agents.machine import package_versions
+from octoarm_env import ArmParameters, _core
+
+__all__ = ["code_digest", "run_trials"]
+
+Trial = Callable[..., dict[str, Any]]
+Settings = Mapping[str, Any]
+
+
+def run_trials(
+    function: Trial,
+    parameters: ArmParameters,
+    settings: Sequence[Settings],
+    *,
+    folder: Path,
+    jobs: int = 1,
+    fresh: bool = False,
+    progress: bool | None = None,
+    description: str = "trials",
+) -> list[dict[str, Any]]:
+    """Call ``function(parameters, **settings)`` for all settings, in processes of their own.
+
+    Every result is written to `folder` as soon as its trial is finished. A later call with the same
+    function, body, settings and code takes it from there, so that an interrupted run loses at
+    most the trials under way. Results do not depend on `jobs`: a trial knows its own settings only,
+    and computes with one thread.
+
+    Args:
+        function: at the top level of a module; what it returns must fit into JSON, and it must
+            depend on its arguments alone.
+        parameters: the body.
+        settings: keyword arguments of each trial, which must fit into JSON.
+        folder: for the finished trials; made if it is not there.
+        jobs: processes.
+        fresh: compute every trial anew, whatever `folder` holds.
+        progress: show a bar on standard error; None: if that is a terminal.
+        description: of the bar.
+
+    Returns:
+        The results in the order of `settings`, as they read in JSON.
+
+    Raises:
+        ValueError: fewer than one job, or a result with numbers that are not finite.
+    """
+    from joblib import Parallel, delayed
+    from tqdm import tqdm
+
+    if jobs < 1:
+        raise ValueError(f"jobs = {jobs}: expected at least 1")
+    folder.mkdir(parents=True, exist_ok=True)
+    fingerprints = [_fingerprint(function, parameters, each) for each in settings]
+    files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]
+    results: dict[int, dict[str, Any]] = {}
+    if not fresh:
+        for index, file in enumerate(files):
+            stored = _read(file, fingerprints[index])
+            if stored is not None:
+                results[index] = stored
+    missing = [index for index in range(len(settings)) if index not in results]
+    calls = (
+        delayed(_run_one)(
+            index, function, parameters, settings[index], files[index], fingerprints[index]
+        )
+        for index in missing
+    )
+    with tqdm(
+        total=len(settings),
+        initial=len(results),
+        desc=description,
+        file=sys.stderr,
+        disable=None if progress is None else not progress,
+        leave=False,
+    ) as bar:
+        run = Parallel(n_jobs=min(jobs, max(len(missing), 1)), return_as="generator_unordered")
+        for index, result in run(calls):
+            results[index] = result
+            bar.update()
+    return [results[index] for index in range(len(settings))]
+
+
+def _run_one(
+    index: int,
+    function: Trial,
+    parameters: ArmParameters,
+    settings: Settings,
+    file: Path,
+    fingerprint: dict[str, Any],
+) -> tuple[int, dict[str, Any]]:
+    """One trial, in the process that computes it: what is finished is stored at once."""
+    from threadpoolctl import threadpool_limits
+
+    # Sums split over threads are rounded otherwise; and the processes are what fills the machine.
+    with threadpool_limits(1):
+        result = function(parameters, **settings)
+    write_json(file, {"fingerprint": fingerprint, "result": result})
+    # As a later run would read it.
+    return index, json.loads(json.dumps(result))
+
+
+def _fingerprint(function: Trial, parameters: ArmParameters, settings: Settings) -> dict[str, Any]:
+    """All that a trial's result depends on."""
+    fingerprint = {
+        "function": f"{function.__module__}.{function.__qualname__}",
+        "settings": dict(settings),
+        "body": parameters.to_dict(),
+        "versions": package_versions(
+            "octoarm-env", "octoarm-agents", "numpy", "scipy", "scikit-learn", "reservoirpy"
+        ),
+        "code": code_digest(function.__module__),
+    }
+    # Tuples become lists, as in the file that this is compared with.
+    compared: dict[str, Any] = json.loads(json.dumps(fingerprint, allow_nan=False))
+    return compared
+
+
+def _digest(fingerprint: dict[str, Any]) -> str:
+    text = json.dumps(fingerprint, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:
+    """A stored result; None if there is none, or the file is damaged or of another trial."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return None
+    if not isinstance(content, dict) or content.get("fingerprint") != fingerprint:
+        return None
+    result: dict[str, Any] = content["result"]
+    return result
+
+
+@functools.cache
+def code_digest(module: str) -> str:
+    """Digest of a module, of what it imports of this distribution, and of the compiled physics.
+
+    The version alone would let trials of an older state of a checkout pass for present ones.
+
+    Args:
+        module: full name of an importable module.
+    """
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    waiting, sources = [module], dict[str, bytes]()
+    while waiting:
+        name = waiting.pop()
+        if name in sources:
+            continue
+        source = _source(name)
+        if source is not None:
+            sources[name] = source
+            waiting += _imports(source)
+    for name in sorted(sources):
+        digest.update(sources[name])
+    return digest.hexdigest()
+
+
+def _source(module: str) -> bytes | None:
+    """Text of a module; None if there is no such module, as for a name imported from one."""
+    try:
+        specification = importlib.util.find_spec(module)
+    except (ModuleNotFoundError, ValueError):
+        return None
+    if specification is None or specification.origin is None:
+        return None
+    return Path(specification.origin).read_bytes()
+
+
+def _imports(source: bytes) -> list[str]:
+    """Modules of this distribution that a module imports from, and the names it takes from them."""
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+    package = __name__.partition(".")[0]
+    return [name for name in names if name.startswith(f"{package}.")]

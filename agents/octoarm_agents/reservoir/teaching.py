@@ -1,0 +1,213 @@
+"""How a readout is taught a limit cycle: teacher forcing, and a ridge weighted by the body itself.
+
+The paper adds white noise to the recorded lengths, the same on every spring (section 2.2.2). On
+average that is a ridge on the weights: it forbids large weights, whatever the springs do. But a
+body off its orbit does not move its springs like that. The deviations that occur are those that a
+disturbed base causes, some springs' a thousand times larger than others', and a loop that answers
+to them wrongly pushes itself off the orbit (see `octoarm_agents.reservoir.floquet`).
+
+So besides the isotropic noise ν, a readout may be taught not to answer to deviations that the body
+really has. The teacher is followed again with small disturbances of the base, one run for each of a
+few time scales, and what changes in the lengths is penalised:
+
+    |S W - T|² + M ν²/3 |W|² + M Σ_k κ_k² |F_k W|²,    F_kᵀF_k = <δs δsᵀ> for one degree at scale k,
+
+the same as the teacher's rows with those deviations in them, at the size κ_k, and the undisturbed
+target as their label. ν and the κ_k are few numbers that a search can find by looking at the loop
+they give (`octoarm_agents.reservoir.tuning`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
+from octoarm_agents.reservoir.readout import Readout
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
+
+__all__ = ["TIME_SCALES", "Lesson", "Taught", "Teaching", "teach"]
+
+Float = NDArray[np.float64]
+
+TIME_SCALES = (0, 3, 10, 30, 100, 300)
+"""Correlation times of the base's disturbances [steps]; 0 is white noise."""
+
+_DISTURBANCE = 0.02
+"""Root mean square of a disturbance while its effect is recorded [degrees]: so small that the
+body's answer is linear."""
+
+_WHITE = 0.2
+"""White noise is recorded at this part of that size: it is an inertia load first of all."""
+
+_RECORDED = 12_000
+_BEGIN = 6_000
+"""Physics steps of a recording, and its first step; by then cycle and body are settled."""
+
+
+@dataclass(frozen=True)
+class Teaching:
+    """How a readout is taught.
+
+    Attributes:
+        target: name of the limit cycle.
+        amplitude: R, the largest angle of the target [degrees].
+        noise: ν, half width of the white noise on the lengths that the fit allows for [m].
+        disturbances: κ, sizes of the base's disturbances at the `TIME_SCALES` whose effect on the
+            body the readout shall not answer to [degrees]; all zero is the paper's training.
+        actuator: how the base follows its command, ``"direct"`` or ``"servo"``.
+        steps: physics steps of teacher forcing.
+        washout: of them, how many are not used at the begin.
+        seed: of the disturbances.
+    """
+
+    target: str
+    amplitude: float
+    noise: float
+    disturbances: tuple[float, ...] = (0.0,) * len(TIME_SCALES)
+    actuator: Literal["direct", "servo"] = "direct"
+    steps: int = 70_000
+    washout: int = 10_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.target not in LIMIT_CYCLES:
+            raise ValueError(f"target = {self.target!r}: expected one of {sorted(LIMIT_CYCLES)}")
+        if self.actuator not in ("direct", "servo"):
+            raise ValueError(f"actuator = {self.actuator!r}: expected 'direct' or 'servo'")
+        if not (self.amplitude > 0 and math.isfinite(self.amplitude)):
+            raise ValueError(f"amplitude = {self.amplitude}: expected a positive number of degrees")
+        if not (self.noise >= 0 and math.isfinite(self.noise)):
+            raise ValueError(f"noise = {self.noise}: expected a number of metres, not negative")
+        if len(self.disturbances) != len(TIME_SCALES) or not all(
+            size >= 0 and math.isfinite(size) for size in self.disturbances
+        ):
+            raise ValueError(
+                f"disturbances = {self.disturbances}: expected {len(TIME_SCALES)} numbers of "
+                "degrees, not negative"
+            )
+        if self.washout < 0:
+            raise ValueError(f"washout = {self.washout}: expected 0 or more")
+        least = max(self.washout + 1_000, _BEGIN + _RECORDED)
+        if self.steps < least:
+            raise ValueError(f"steps = {self.steps}: expected at least {least}")
+
+
+@dataclass(frozen=True)
+class Taught:
+    """A taught readout.
+
+    Attributes:
+        teaching: how.
+        readout: fitted; its `weights_` close the loop.
+        exponents: leading Floquet exponents of its loop on the teacher's orbit, largest first
+            [1/s]; empty if the loop's gain throws the body out of its domain within a step.
+    """
+
+    teaching: Teaching
+    readout: Readout
+    exponents: Float
+
+
+def teach(parameters: ArmParameters, teaching: Teaching) -> Taught:
+    """Teach a readout to continue a limit cycle.
+
+    Raises:
+        ValueError: a target, actuator or size that cannot be.
+        DomainError: the arm cannot follow the teacher.
+    """
+    lesson = Lesson(parameters, teaching)
+    return lesson.teach(teaching)
+
+
+class Lesson:
+    """A body that has followed a teacher, from which readouts are fitted at once.
+
+    Attributes:
+        run: what the teacher forced, and what the springs said.
+    """
+
+    def __init__(self, parameters: ArmParameters, teaching: Teaching) -> None:
+        """Let the body follow the teacher; `noise` and `disturbances` may differ in each fit.
+
+        Raises:
+            DomainError: the arm cannot follow the teacher.
+        """
+        self.run = TeacherRun(
+            parameters, teaching.target, teaching.amplitude, teaching.actuator, teaching.steps
+        )
+        self._lengths = self.run.lengths[teaching.washout :]
+        self._targets = self.run.signal[1 + teaching.washout :]
+        springs = self._lengths.shape[1]
+        # Least squares know the rows by their triangular factor only.
+        factor = _triangle(np.hstack((self._lengths, self._targets)))
+        self._rows = np.ascontiguousarray(factor[:springs, :springs])
+        self._labels = np.ascontiguousarray(factor[:springs, springs:])
+        self._left = float(np.linalg.norm(factor[springs:, springs:]))
+        self._seed = teaching.seed
+        self._responses: list[Float] | None = None
+
+    def weights(self, noise: float, disturbances: Sequence[float]) -> tuple[Float, float]:
+        """Fit quickly: weights (springs, 2) [degrees/m], and the training error [degrees]."""
+        readout = Readout("ridge", ridge=len(self._lengths) * noise**2 / 3)
+        readout.fit(self._rows, self._labels, penalty=self._penalty(disturbances))
+        weights: Float = readout.weights_
+        residual = np.linalg.norm(self._labels - self._rows @ weights)
+        return weights, math.hypot(float(residual), self._left) / math.sqrt(len(self._lengths))
+
+    def teach(self, teaching: Teaching) -> Taught:
+        """The same fit from all rows, as an estimator whose errors refer to them."""
+        noise = teaching.noise
+        readout = Readout("noise", noise=noise) if noise > 0 else Readout("pinv")
+        penalty = self._penalty(teaching.disturbances)
+        readout.fit(self._lengths, self._targets, penalty=penalty)
+        return Taught(teaching, readout, self.exponents(readout.weights_))
+
+    def exponents(self, weights: Float, steps: int = 2_000) -> Float:
+        """Leading Floquet exponents [1/s]; empty if the loop leaves the domain within a step."""
+        try:
+            return floquet_exponents(self.run, weights, steps=steps)
+        except (DomainError, ValueError):
+            return np.empty(0)
+
+    def _penalty(self, disturbances: Sequence[float]) -> Float | None:
+        """Rows of deviations of the sizes asked for, as many in effect as the teacher's rows."""
+        if not any(disturbances):
+            return None
+        if self._responses is None:
+            random = np.random.default_rng(self._seed)
+            self._responses = [_response(self.run, scale, random) for scale in TIME_SCALES]
+        size = math.sqrt(len(self._lengths))
+        pairs = zip(disturbances, self._responses, strict=True)
+        return np.concatenate([size * kappa * response for kappa, response in pairs])
+
+
+def _response(run: TeacherRun, scale: int, random: np.random.Generator) -> Float:
+    """Triangle F (springs, springs) with FᵀF = <δs δsᵀ> [m²] for disturbances of one degree."""
+    size = _DISTURBANCE * (1.0 if scale else _WHITE)
+    noise = size * _disturbance(_RECORDED, scale, random)
+    begin, end = _BEGIN, _BEGIN + _RECORDED
+    arm: Arm = run.arm_after(begin)
+    deviations = arm.run(run.signal[begin:end] + noise) - run.lengths[begin:end]
+    return _triangle(deviations / (size * math.sqrt(_RECORDED)))
+
+
+def _disturbance(steps: int, scale: int, random: np.random.Generator) -> Float:
+    """Noise (steps, 2) of root mean square 1, twice low-pass filtered at a time scale."""
+    noise = random.normal(size=(steps, 2))
+    if scale:
+        decay = math.exp(-1 / scale)
+        for _ in range(2):
+            noise = lfilter([1 - decay], [1, -decay], noise, axis=0)
+    return np.asarray(noise / noise.std(), dtype=np.float64)
+
+
+def _triangle(rows: Float) -> Float:
+    """Triangular factor F of `rows` (K, springs): FᵀF = rowsᵀ rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)

@@ -1,0 +1,260 @@
+"""The experiment runner: trials are kept, taken up again, and do not depend on how they are run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from octoarm_agents.experiments import EXPERIMENTS, load_experiment
+from octoarm_agents.experiments.runner import Context, Experiment, ResultTable, reproduce
+from octoarm_agents.experiments.trials import code_digest, run_trials
+
+from octoarm_env import ArmParameters
+
+
+def draw_number(parameters, *, seed, trial, log):
+    """A trial that leaves a line in a file whenever it is really computed."""
+    with Path(log).open("a", encoding="utf-8") as file:
+        file.write(f"{trial}\n")
+    matrix = np.random.default_rng([seed, trial]).normal(size=(200, 200))
+    return {"trial": trial, "sum": float((matrix @ matrix).sum() * parameters.rest_length)}
+
+
+def stop_at_three(parameters, *, trial, how):
+    """A trial that ends the whole process the first time that number three is tried."""
+    if trial == 3 and Path(how).exists():
+        Path(how).unlink()
+        if how.endswith("killed"):
+            os.kill(os.getpid(), signal.SIGKILL)
+        raise KeyboardInterrupt
+    return {"trial": trial}
+
+
+def not_a_number(parameters, *, trial):
+    return {"error": float("nan")}
+
+
+def settings(log, trials=4, seed=0):
+    return [{"seed": seed, "trial": trial, "log": str(log)} for trial in range(trials)]
+
+
+def computed(log):
+    """Numbers of the trials that were computed, in the order of their numbers."""
+    return sorted(int(line) for line in log.read_text(encoding="utf-8").split())
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / "log"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "trials"
+
+
+def test_trials_are_computed_once(log, folder):
+    first = run_trials(draw_number, ArmParameters(), settings(log), folder=folder)
+    assert [result["trial"] for result in first] == [0, 1, 2, 3]
+    again = run_trials(draw_number, ArmParameters(), settings(log, 6), folder=folder)
+    assert again[:4] == first
+    assert computed(log) == [0, 1, 2, 3, 4, 5]
+    assert len(list(folder.iterdir())) == 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"parameters": ArmParameters().replace(rest_length=0.021)},
+        {"seed": 1},
+        {"fresh": True},
+    ],
+    ids=str,
+)
+def test_trials_of_another_kind_are_computed_anew(log, folder, change):
+    run_trials(draw_number, ArmParameters(), settings(log), folder=folder)
+    run_trials(
+        draw_number,
+        change.get("parameters", ArmParameters()),
+        settings(log, seed=change.get("seed", 0)),
+        folder=folder,
+        fresh=change.get("fresh", False),
+    )
+    assert computed(log) == [0, 0, 1, 1, 2, 2, 3, 3]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: "[]",
+        lambda text: text.replace('"seed": 0', '"seed": 5'),
+        lambda text: text.replace('"code": "', '"code": "0'),
+        lambda text: text.replace('"numpy": "', '"numpy": "0'),
+    ],
+    ids=["truncated", "not an object", "other settings", "other code", "other version"],
+)
+def test_damaged_and_stale_files_are_computed_anew(log, folder, damage):
+    first = run_trials(draw_number, ArmParameters(), settings(log), folder=folder)
+    victim = sorted(folder.iterdir())[0]
+    text = victim.read_text(encoding="utf-8")
+    assert damage(text) != text
+    victim.write_text(damage(text), encoding="utf-8")
+    assert run_trials(draw_number, ArmParameters(), settings(log), folder=folder) == first
+    assert len(computed(log)) == 5
+    assert victim.read_text(encoding="utf-8") == text
+
+
+def test_results_do_not_depend_on_the_number_of_processes(log, tmp_path):
+    alone, together = (
+        run_trials(
+            draw_number, ArmParameters(), settings(log), folder=tmp_path / str(jobs), jobs=jobs
+        )
+        for jobs in (1, 2)
+    )
+    assert alone == together
+    assert computed(log) == [0, 0, 1, 1, 2, 2, 3, 3]
+
+
+def test_an_interrupted_run_goes_on_where_it_ended(tmp_path, folder):
+    how = tmp_path / "interrupted"
+    how.touch()
+    trials = [{"trial": trial, "how": str(how)} for trial in range(6)]
+    with pytest.raises(KeyboardInterrupt):
+        run_trials(stop_at_three, ArmParameters(), trials, folder=folder)
+    assert len(list(folder.iterdir())) == 3
+    results = run_trials(stop_at_three, ArmParameters(), trials, folder=folder)
+    assert [result["trial"] for result in results] == list(range(6))
+
+
+def test_a_killed_run_goes_on_where_it_ended(tmp_path, folder):
+    how = tmp_path / "killed"
+    how.touch()
+    trials = [{"trial": trial, "how": str(how)} for trial in range(5)]
+    script = (
+        "import sys, json, pathlib; sys.path.insert(0, sys.argv[1]); import test_runner as t\n"
+        "t.run_trials(t.stop_at_three, t.ArmParameters(), json.loads(sys.argv[2]),"
+        " folder=pathlib.Path(sys.argv[3]))"
+    )
+    command = [sys.executable, "-c", script, str(Path(__file__).parent)]
+    run = subprocess.run([*command, json.dumps(trials), str(folder)], check=False)
+    assert run.returncode == -signal.SIGKILL
+    stored = sorted(folder.iterdir())
+    assert len(stored) == 3
+    before = [file.stat().st_mtime_ns for file in stored]
+    results = run_trials(stop_at_three, ArmParameters(), trials, folder=folder)
+    assert [result["trial"] for result in results] == list(range(5))
+    assert [file.stat().st_mtime_ns for file in stored] == before
+
+
+def test_results_must_be_finite(folder):
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        run_trials(not_a_number, ArmParameters(), [{"trial": 0}], folder=folder)
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(("progress", "shown"), [(True, True), (False, False), (None, False)])
+def test_the_bar_is_shown_on_a_terminal_or_when_asked_for(log, folder, capfd, progress, shown):
+    run_trials(
+        draw_number,
+        ArmParameters(),
+        settings(log),
+        folder=folder,
+        progress=progress,
+        description="counting",
+    )
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert ("counting" in captured.err) is shown
+
+
+def test_the_digest_covers_what_a_module_imports():
+    digests = {
+        module: code_digest(f"octoarm_agents.{module}")
+        for module in ("reservoir.inputs", "reservoir.emulation", "experiments.task1_trials")
+    }
+    assert len(set(digests.values())) == 3
+    assert all(len(digest) == 64 for digest in digests.values())
+
+
+def test_the_digest_changes_with_what_is_imported(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "some_trials.py"
+    module.write_text("from octoarm_agents.reservoir import inputs\n", encoding="utf-8")
+    first = code_digest("some_trials")
+    code_digest.cache_clear()
+    module.write_text("from octoarm_agents.reservoir import emulation\n", encoding="utf-8")
+    assert code_digest("some_trials") != first
+
+
+def square(context):
+    results = context.run(
+        "square",
+        draw_number,
+        settings(context.out.parent / "log", context.trials, context.seed),
+    )
+    return {"trials": context.trials, "sums": [result["sum"] for result in results]}
+
+
+def write_nothing_much(result, path):
+    path.write_bytes(b"picture of %d" % result["trials"])
+
+
+SQUARE = Experiment(
+    "square",
+    "A square.",
+    3,
+    square,
+    write_nothing_much,
+    lambda result: [ResultTable("Square", ("sum",), [[str(s)] for s in result["sums"]])],
+)
+
+
+def test_an_experiment_writes_both_files_and_says_what_it_was_run_with(tmp_path):
+    out = tmp_path / "out"
+    result = reproduce(SQUARE, Context(out, seed=4))
+    assert sorted(path.name for path in out.iterdir()) == [
+        ".square-trials",
+        "square.json",
+        "square.png",
+    ]
+    assert (out / "square.png").read_bytes() == b"picture of 3"
+    content = json.loads((out / "square.json").read_text(encoding="utf-8"))
+    assert content == json.loads(json.dumps(result))
+    assert len(content["sums"]) == content["trials"] == 3
+    assert content["command"] == "octoarm reproduce square --trials 3 --seed 4"
+    assert content["seed"] == 4
+    assert content["body"] == json.loads(ArmParameters().to_json())
+    assert content["versions"]["numpy"] == np.__version__
+    assert content["machine"]["cpu_count"] == os.cpu_count()
+
+
+def test_a_failure_leaves_no_new_file(tmp_path):
+    def fail(result, path):
+        path.write_bytes(b"half")
+        raise RuntimeError("no ink")
+
+    broken = Experiment("square", "A square.", 1, square, fail, SQUARE.tables)
+    with pytest.raises(RuntimeError, match="no ink"):
+        reproduce(broken, Context(tmp_path / "out"))
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [".square-trials"]
+
+
+@pytest.mark.parametrize("setting", [{"trials": 0}, {"seed": -1}, {"jobs": 0}], ids=str)
+def test_bad_settings_are_named(tmp_path, setting):
+    ((name, value),) = setting.items()
+    with pytest.raises(ValueError, match=f"{name} = {value}: expected at least"):
+        Context(tmp_path, **setting)
+
+
+def test_every_experiment_is_what_the_registry_calls_it():
+    for name, title in EXPERIMENTS.items():
+        experiment = load_experiment(name)
+        assert (experiment.name, experiment.title) == (name, title)
+        assert experiment.trials >= 1
+    with pytest.raises(ValueError, match="no experiment 'table9': expected one of table2"):
+        load_experiment("table9")
