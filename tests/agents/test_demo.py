@@ -199,8 +199,13 @@ def test_settings_refuse_what_cannot_be_done(arguments):
 
 
 def test_drawing_leaves_no_state_behind(result):
-    draw_demo(result)
-    assert "matplotlib.pyplot" not in sys.modules
+    had_pyplot = sys.modules.pop("matplotlib.pyplot", None)
+    try:
+        draw_demo(result)
+        assert "matplotlib.pyplot" not in sys.modules
+    finally:
+        if had_pyplot is not None:
+            sys.modules["matplotlib.pyplot"] = had_pyplot
 
 
 def test_the_command_starts_without_the_heavy_libraries():

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from octoarm_agents.experiments import EXPERIMENTS
-from octoarm_agents.experiments.figure5a import RANGES, check_features
+from octoarm_agents.experiments import EXPERIMENTS, figure5a
+from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
 from octoarm_agents.experiments.statistics import bootstrap_interval, summarise, welch_p_value
 from octoarm_agents.experiments.task1 import (
     PAPER,
@@ -155,10 +155,19 @@ def test_a_trial_that_fails_is_reported(octoarm, tmp_path):
     assert content["tasks"]["volterra"]["p_value"] is None
     assert content["tasks"]["volterra"]["linear_regressor"]["mean"] > 0
 
-    run = octoarm("reproduce", "all", *options)
+    # Undamped springs drive the arm out of its domain at any amplitude: no experiment, not even at
+    # an amplitude of its own, has to let go of an arm for its 1,000,000 steps.
+    body = tmp_path / "body.json"
+    ArmParameters().replace(longitudinal_damping=0.0, transverse_damping=0.0).to_json(body)
+    run = octoarm("reproduce", "all", *options, "--arm", body)
     assert run.exit_code == 0, run.output
+    assert all((tmp_path / f"{name}.json").exists() for name in EXPERIMENTS)
     assert read_result(tmp_path, "figure4")["failure"]["time"] > 0
-    assert len(read_result(tmp_path, "figure5a")["points"][0]["failures"]) == 1
+    content = read_result(tmp_path, "figure5a")
+    for series in (content, *content["sensor_noise"].values()):
+        (point,) = series["points"]
+        assert len(point["failures"]) == 1
+        assert point["tasks"]["volterra"]["median"] is None
     for name in ("figure5b", "figure5c"):
         content = read_result(tmp_path, name)
         assert len(content["failures"]) == 1
@@ -195,20 +204,87 @@ def test_figure5a_at_one_range(octoarm, tmp_path):
     assert set(content["paper"]) == set(
         check_features(RANGES, {task: [1.0] * len(RANGES) for task in TASKS})
     )
-    (point,) = content["points"]
+    assert list(content["sensor_noise"]) == ["1e-05", "0.0001"]
     expected = [
-        score_arm(ArmParameters(), kind="sines", amplitude=30.0, seed=0, trial=trial)
+        score_arm(
+            ArmParameters(),
+            kind="sines",
+            amplitude=30.0,
+            seed=0,
+            trial=trial,
+            sensor_noise=SENSOR_NOISE,
+        )
         for trial in range(2)
     ]
-    for task in TASKS:
-        summary = point["tasks"][task]
-        errors = [trial["arm"]["test"][task] for trial in expected]
-        assert summary["mean"] == pytest.approx(np.mean(errors), rel=1e-9)
-        assert summary["lower_quartile"] <= summary["median"] <= summary["upper_quartile"]
+    series = {"arm": content["points"]}
+    for index, (level, noisy) in enumerate(content["sensor_noise"].items()):
+        assert noisy["half_width_metres"] == float(level)
+        assert noisy["confirmed"] is None
+        series[index] = noisy["points"]
+    medians = []
+    for key, (point,) in series.items():
+        assert point["range_deg"] == 30.0
+        assert point["failures"] == []
+        for task in TASKS:
+            summary = point["tasks"][task]
+            errors = [
+                (trial["arm"] if key == "arm" else trial["sensor_noise"][key])["test"][task]
+                for trial in expected
+            ]
+            assert summary["mean"] == pytest.approx(np.mean(errors), rel=1e-9)
+            assert summary["lower_quartile"] <= summary["median"] <= summary["upper_quartile"]
+        medians.append([point["tasks"][task]["median"] for task in TASKS])
+    assert (np.diff(medians, axis=0) > 0).all()
 
     run = octoarm("reproduce", "figure5a", *options, "--jobs", 2, "--fresh")
     assert run.exit_code == 0, run.output
-    assert read_result(tmp_path, "figure5a")["points"] == content["points"]
+    again = read_result(tmp_path, "figure5a")
+    for key in ("points", "sensor_noise"):
+        assert again[key] == content[key]
+
+
+def test_figure5a_judges_the_papers_observations_at_each_noise(octoarm, tmp_path, monkeypatch):
+    monkeypatch.setattr(figure5a, "RANGES", (15.0, 55.0))
+    run = octoarm(
+        "reproduce", "figure5a", "--trials", 1, "--jobs", 1, "--seed", 1, "--out", tmp_path
+    )
+    assert run.exit_code == 0, run.output
+    content = read_result(tmp_path, "figure5a")
+    series = [content, *content["sensor_noise"].values()]
+    for each in series:
+        medians = {
+            task: [point["tasks"][task]["median"] for point in each["points"]] for task in TASKS
+        }
+        assert each["confirmed"] == check_features((15.0, 55.0), medians)
+    printed = figure5a.tables(content)[1]
+    assert printed.columns == ("", "without noise", "±0.01 mm", "±0.1 mm")
+    for row, (name, text) in zip(printed.rows, content["paper"].items(), strict=True):
+        answers = ["yes" if each["confirmed"][name] else "no" for each in series]
+        assert list(row) == [text, *answers]
+        assert text[:20] in run.stdout
+    assert "±0.01 mm" in run.stdout
+
+
+def test_noise_on_the_lengths_is_there_in_training_and_test(drive, lengths):
+    levels = (0.0, 1e-5, 1e-4)
+    result = score_arm(
+        ArmParameters(), kind="sines", amplitude=RANGE, seed=0, trial=0, sensor_noise=levels
+    )
+    (stream,) = trial_streams(0, 0, 1)
+    for level, scores in zip(levels, result["sensor_noise"], strict=True):
+        seen = lengths + stream.uniform(-level, level, lengths.shape)
+        readout = Readout().fit(seen[drive.training], drive.targets[drive.training])
+        errors = np.square(readout.predict(seen[drive.test]) - drive.targets[drive.test])
+        np.testing.assert_allclose(list(scores["test"].values()), errors.mean(axis=0), rtol=1e-9)
+    assert result["sensor_noise"][0] == result["arm"]
+
+
+@pytest.mark.parametrize("level", [-1e-5, float("nan"), float("inf")])
+def test_a_level_of_noise_that_is_no_half_width_is_refused(level):
+    with pytest.raises(ValueError, match=r"sensor_noise = .*finite half widths >= 0"):
+        score_arm(
+            ArmParameters(), kind="sines", amplitude=30.0, seed=0, trial=0, sensor_noise=(level,)
+        )
 
 
 def make_errors(**changes):

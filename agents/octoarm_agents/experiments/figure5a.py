@@ -1,4 +1,8 @@
-"""Figure 5A: errors of the emulation tasks against the range R of the base (section 3.1)."""
+"""Figure 5A: errors of the emulation tasks against the range R of the base (section 3.1).
+
+The paper does not say how exactly the lengths were recorded. A small R gives small changes of
+length, which a finite precision hides first, so that the same runs are also read through noise.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
@@ -14,10 +19,13 @@ from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
 from octoarm_agents.experiments.task1_trials import score_arm
 
-__all__ = ["EXPERIMENT", "RANGES", "check_features"]
+__all__ = ["EXPERIMENT", "RANGES", "SENSOR_NOISE", "check_features"]
 
 RANGES = tuple(float(amplitude) for amplitude in range(15, 91, 5))
 """R [degrees]."""
+
+SENSOR_NOISE = (1e-5, 1e-4)
+"""Half widths of the uniform noise on the lengths, in training and test [m]."""
 
 PAPER_FEATURES = {
     "highest_at_smallest_range": "In all tasks, R around 15 shows the highest errors.",
@@ -34,7 +42,7 @@ AROUND = 5.0
 
 
 def run(context: Context) -> dict[str, Any]:
-    """Errors at each R; ``--range`` restricts the grid to that R."""
+    """Errors at each R, without and with noise; ``--range`` restricts the grid to that R."""
     check_timestep(context.parameters)
     assert context.trials is not None
     ranges = RANGES if context.amplitude is None else (context.amplitude,)
@@ -42,31 +50,61 @@ def run(context: Context) -> dict[str, Any]:
         "figure5a",
         score_arm,
         [
-            {"kind": "sines", "amplitude": amplitude, "seed": context.seed, "trial": trial}
+            {
+                "kind": "sines",
+                "amplitude": amplitude,
+                "seed": context.seed,
+                "trial": trial,
+                "sensor_noise": list(SENSOR_NOISE),
+            }
             for amplitude in ranges
             for trial in range(context.trials)
         ],
     )
-    points = []
-    for index, amplitude in enumerate(ranges):
-        trials = results[index * context.trials : (index + 1) * context.trials]
-        points.append(_point(amplitude, trials))
-    medians = {task: [point["tasks"][task]["median"] for point in points] for task in TASKS}
+    by_range = {
+        amplitude: results[index * context.trials : (index + 1) * context.trials]
+        for index, amplitude in enumerate(ranges)
+    }
     return {
         "ranges_deg": list(ranges),
         "trials": context.trials,
-        "points": points,
         "paper": PAPER_FEATURES,
-        "confirmed": None if context.amplitude is not None else check_features(ranges, medians),
+        **_collect(by_range),
+        "sensor_noise": {
+            f"{level:g}": {"half_width_metres": level} | _collect(by_range, index)
+            for index, level in enumerate(SENSOR_NOISE)
+        },
     }
 
 
-def _point(amplitude: float, trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _collect(
+    by_range: Mapping[float, Sequence[Mapping[str, Any]]], level: int | None = None
+) -> dict[str, Any]:
+    """What the trials gave at each R, and whether it shows the paper's features.
+
+    Args:
+        by_range: trials by R [degrees], increasing.
+        level: index into `SENSOR_NOISE`; None: without noise.
+
+    Returns:
+        ``points``, one an R, and ``confirmed``, which is None where there is but one R.
+    """
+    ranges = list(by_range)
+    points = [_point(amplitude, trials, level) for amplitude, trials in by_range.items()]
+    medians = {task: [point["tasks"][task]["median"] for point in points] for task in TASKS}
+    confirmed = check_features(ranges, medians) if len(ranges) > 1 else None
+    return {"points": points, "confirmed": confirmed}
+
+
+def _point(
+    amplitude: float, trials: Sequence[Mapping[str, Any]], level: int | None
+) -> dict[str, Any]:
     """What the trials at one R gave."""
     finished = [trial for trial in trials if trial["failure"] is None]
+    scores = [trial["arm"] if level is None else trial["sensor_noise"][level] for trial in finished]
     tasks = {}
     for task in TASKS:
-        errors = [trial["arm"]["test"][task] for trial in finished]
+        errors = [each["test"][task] for each in scores]
         quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
         names = ("lower_quartile", "median", "upper_quartile")
         tasks[task] = summarise(errors) | dict(zip(names, quartiles, strict=True))
@@ -142,16 +180,29 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     )
     if result["confirmed"] is None:
         return [by_range]
+    noisy = result["sensor_noise"].values()
+    answers = [result["confirmed"], *(each["confirmed"] for each in noisy)]
     features = [
-        (text, "yes" if result["confirmed"][name] else "no")
+        (text, *("yes" if confirmed[name] else "no" for confirmed in answers))
         for name, text in result["paper"].items()
     ]
-    return [by_range, ResultTable("The paper's observations", ("", "confirmed"), features)]
+    columns = ("", "without noise", *(_describe_noise(each) for each in noisy))
+    title = "The paper's observations confirmed, without and with noise on the lengths"
+    return [by_range, ResultTable(title, columns, features)]
+
+
+def _describe_noise(noisy: Mapping[str, Any]) -> str:
+    """A level of the noise in words."""
+    return f"±{noisy['half_width_metres'] * 1000:g} mm"
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
-    """Median and quartiles against R, one panel a task; a mark where trials failed."""
+    """Median and quartiles against R, one panel a task; a mark where trials failed.
+
+    Of the errors under noise there are the medians alone, as thinner lines.
+    """
     from octoarm_agents.experiments.figures import (
+        BLACK,
         GREY,
         TASK_COLOURS,
         TASK_LABELS,
@@ -164,12 +215,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     panels = figure.subplots(1, 3)
     failed = [point for point in result["points"] if point["failures"]]
     for axes, task in zip(panels, TASKS, strict=True):
-        points = [p for p in result["points"] if p["tasks"][task]["median"] is not None]
-        ranges = [point["range_deg"] for point in points]
-        low, middle, high = (
-            np.array([point["tasks"][task][name] for point in points])
-            for name in ("lower_quartile", "median", "upper_quartile")
-        )
+        ranges, low, middle, high = _quartiles(result["points"], task)
         axes.errorbar(
             ranges,
             middle,
@@ -177,10 +223,23 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             color=TASK_COLOURS[task],
             marker="o",
             markersize=4,
-            linewidth=1.2,
+            linewidth=2.0,
+            elinewidth=1.2,
             capsize=3,
             label=f"median and quartiles of {result['trials']} trials",
         )
+        for noisy, style in zip(result["sensor_noise"].values(), ("--", "-."), strict=True):
+            ranges, _, middle, _ = _quartiles(noisy["points"], task)
+            axes.plot(
+                ranges,
+                middle,
+                color=BLACK,
+                linestyle=style,
+                marker=".",
+                markersize=4,
+                linewidth=0.9,
+                label=f"median, lengths with noise of {_describe_noise(noisy)}",
+            )
         for index, point in enumerate(failed):
             axes.axvline(
                 point["range_deg"],
@@ -188,15 +247,28 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
                 linestyle=":",
                 label="trials failed here" if index == 0 else None,
             )
-        if points:
+        if len(ranges):
             axes.set_yscale("log")
         axes.set_title(TASK_LABELS[task], fontsize=10)
         axes.set_xlabel("range of the base R (degrees)")
     panels[0].set_ylabel("mean squared error")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=2, loc="outside lower center")
+    # Error bars are listed last whenever they were drawn; the main series comes first here.
+    handles, labels = (each[-1:] + each[:-1] for each in (handles, labels))
+    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=4, loc="outside lower center")
     write_letters(list(panels))
     save_figure(figure, path)
+
+
+def _quartiles(points: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.float64]:
+    """R [degrees], lower quartile, median and upper quartile where any trial succeeded: (4, n)."""
+    names = ("lower_quartile", "median", "upper_quartile")
+    rows = [
+        (point["range_deg"], *(point["tasks"][task][name] for name in names))
+        for point in points
+        if point["tasks"][task]["median"] is not None
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 4).T
 
 
 EXPERIMENT = Experiment("figure5a", EXPERIMENTS["figure5a"], TRIALS, run, draw, tables)

@@ -5,6 +5,8 @@ A trial whose arm leaves its domain says so in ``failure`` and has no errors of 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -31,9 +33,15 @@ SPRINGS_PER_COMPARTMENT = 4
 
 
 def score_arm(
-    parameters: ArmParameters, *, kind: str, amplitude: float, seed: int, trial: int
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    sensor_noise: Sequence[float] = (),
 ) -> dict[str, Any]:
-    """Errors of the arm's readout.
+    """Errors of the arm's readout, and of readouts that see the same run through noise.
 
     Args:
         parameters: the body.
@@ -41,11 +49,22 @@ def score_arm(
         amplitude: R [degrees].
         seed: of the experiment.
         trial: number of the trial.
+        sensor_noise: half widths [m], not negative, of the uniform noise that is added to the
+            lengths, for training and test; it is drawn from (seed, trial), the same at every R.
 
     Returns:
         ``trial``, ``initial_steps``, ``failure`` (None or the message and its numbers) and, if the
-        arm stayed in its domain, ``arm`` ({phase: {task: error}}) and ``state_rank``.
+        arm stayed in its domain, ``arm`` ({phase: {task: error}}), ``state_rank`` and
+        ``sensor_noise`` (one {phase: {task: error}} a level).
+
+    Raises:
+        ValueError: a half width that is negative or not finite.
     """
+    for level in sensor_noise:
+        if not 0 <= level < math.inf:
+            raise ValueError(
+                f"sensor_noise = {list(sensor_noise)}: expected finite half widths >= 0, in metres"
+            )
     drive = Drive.make(kind, seed, trial)
     result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
     try:
@@ -53,7 +72,12 @@ def score_arm(
     except DomainError as error:
         return result | {"failure": describe_failure(error)}
     scores, readout = score_features(lengths, drive)
-    return result | {"arm": scores, "state_rank": readout.rank_}
+    (noise_stream,) = trial_streams(seed, trial, 1)
+    noisy = [
+        score_features(lengths + noise_stream.uniform(-level, level, lengths.shape), drive)[0]
+        for level in sensor_noise
+    ]
+    return result | {"arm": scores, "state_rank": readout.rank_, "sensor_noise": noisy}
 
 
 def compare_methods(

@@ -3,8 +3,8 @@
 The paper adds white noise to the recorded lengths, the same on every spring (section 2.2.2). On
 average that is a ridge on the weights: it forbids large weights, whatever the springs do. But a
 body off its orbit does not move its springs like that. The deviations that occur are those that a
-disturbed base causes, some springs' a thousand times larger than others', and a loop that answers
-to them wrongly pushes itself off the orbit (see `octoarm_agents.reservoir.floquet`).
+disturbed base causes, in some directions many thousand times larger than in others, and a loop that
+answers to them wrongly pushes itself off the orbit (see `octoarm_agents.reservoir.floquet`).
 
 So besides the isotropic noise ν, a readout may be taught not to answer to deviations that the body
 really has. The teacher is followed again with small disturbances of the base, one run for each of a
