@@ -129,15 +129,12 @@ def measure_again(body: ArmParameters, starts: Sequence[int]) -> dict[str, Any]:
     Raises:
         ValueError: a body that cannot rest.
     """
-    from threadpoolctl import threadpool_limits
-
     ratios: list[dict[str, float] | None] = []
-    with threadpool_limits(1):  # as the search did: sums split over threads are rounded otherwise
-        for initial in starts:
-            try:
-                ratios.append(measure_task1(body, initial))
-            except DomainError:
-                ratios.append(None)
+    for initial in starts:
+        try:
+            ratios.append(measure_task1(body, initial))
+        except DomainError:
+            ratios.append(None)
     whole = [each for each in ratios if each is not None]
     mean = None
     if len(whole) == len(starts):

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from octoarm_agents.experiments.task1 import (
     INITIAL_STEPS,
@@ -93,7 +94,9 @@ def measure_task1(parameters: ArmParameters, initial: int) -> dict[str, float]:
         ValueError: a body that cannot rest, or of another timestep than the paper's.
     """
     drive = _drive(initial)
-    scores, _ = score_features(record_lengths(parameters, drive, RANGE), drive)
+    # Sums split over threads are rounded otherwise.
+    with threadpool_limits(1):
+        scores, _ = score_features(record_lengths(parameters, drive, RANGE), drive)
     return {task: scores["test"][task] / PAPER[task]["arm"][0] for task in TASKS}
 
 

@@ -132,11 +132,7 @@ def _judge(
     base: ArmParameters, changes: Mapping[str, Any], judge: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Evaluate one candidate, in whatever process."""
-    from threadpoolctl import threadpool_limits
-
-    # Sums split over threads are rounded otherwise; and the processes are what fills the machine.
-    with threadpool_limits(1):
-        return evaluate_body(base.replace(**changes), **judge)
+    return evaluate_body(base.replace(**changes), **judge)
 
 
 class _Search:
