@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import os
-import tempfile
+import secrets
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -49,7 +49,7 @@ class ArmParameters:
     volume_force               "applied", "total"    reading of Eqs. 7-8 (*open*)
     drag_coefficients          5 numbers             Eq. 14, highest power first, angle in degrees
     lift_coefficients          5 numbers             Eq. 15, likewise
-    lift_scale                 [-1e4, 1e4]           factor on the lift force (*open*)
+    lift_scale                 [-1e4, 1e4]           factor on the lift force; its sign is *open*: docs/body.md
     plane_mass                 [0, 100] kg           M_ce at each plane's centre (*open*)
     plane_inertia              [0, 100] kg m²        I_ce about x and y, twice that about z (*open*)
     compartments               [1, 200]              number of compartments
@@ -131,13 +131,13 @@ class ArmParameters:
         text = json.dumps(self.to_dict(), indent=2)
         if path is not None:
             target = Path(path)
-            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}")
             try:
-                with os.fdopen(handle, "w", encoding="utf-8") as file:
+                with temporary.open("x", encoding="utf-8") as file:
                     file.write(text + "\n")
-                Path(temporary).replace(target)
+                temporary.replace(target)
             except BaseException:
-                Path(temporary).unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
                 raise
         return text
 

@@ -111,3 +111,10 @@ def test_field_documentation_is_complete() -> None:
     text = ArmParameters.__doc__ or ""
     for field in dataclasses.fields(ArmParameters):
         assert f"\n    {field.name} " in text
+
+
+def test_a_written_file_has_the_mode_of_any_other(tmp_path):
+    (tmp_path / "plain").touch()
+    ArmParameters().to_json(tmp_path / "body.json")
+    assert (tmp_path / "body.json").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["body.json", "plain"]

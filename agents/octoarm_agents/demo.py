@@ -33,7 +33,7 @@ from octoarm_agents.reservoir.closed_loop import (
     recovery_steps,
     score_window,
 )
-from octoarm_agents.reservoir.teaching import Lesson, Teaching
+from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
 __all__ = ["BURSTS", "FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
@@ -227,7 +227,7 @@ def run_demo(
     run = _Run(arm, result, advance or (lambda stage, steps: None))
     try:
         run.stage = "teaching"
-        result.readout = Lesson(arm.parameters, teaching).teach(teaching).readout
+        result.readout = teach(arm.parameters, teaching).readout
         run.advance(teaching.steps)
         run.follow("swinging in", signal)
         _close_loop(run, cycle, result.readout)

@@ -60,7 +60,9 @@ class TestTeaching:
     def test_a_lesson_gives_what_teach_gives(self, lesson):
         taught = teach(BODY, replace(GOOD, disturbances=SOME))
         exact = taught.readout.weights_
-        np.testing.assert_array_equal(lesson.teach(taught.teaching).readout.weights_, exact)
+        # `teach` sums in one thread, this lesson in as many as there are: other last digits.
+        again = lesson.teach(taught.teaching).readout.weights_
+        np.testing.assert_allclose(again, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
         weights, error = lesson.weights(GOOD.noise, SOME)
         # The triangular factor of the rows loses some of 16 digits.
         np.testing.assert_allclose(weights, exact, rtol=0, atol=1e-8 * np.abs(exact).max())

@@ -16,13 +16,13 @@ from octoarm_agents.experiments.task1 import (
     TASKS,
     Drive,
     check_timestep,
-    describe_failure,
     fit_readout,
     mean_squared_errors,
     record_lengths,
 )
 from octoarm_agents.experiments.task1_trials import SPRINGS_PER_COMPARTMENT
 from octoarm_agents.reservoir.baselines import linear
+from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.inputs import TIMESTEP
 from octoarm_env import DomainError
 
@@ -56,7 +56,7 @@ def run(context: Context) -> dict[str, Any]:
     try:
         lengths = record_lengths(context.parameters, drive, amplitude)
     except DomainError as error:
-        failure = describe_failure(error)
+        failure = describe_domain_error(error)
     errors = {}
     for method, known in (("linear_regressor", features), ("arm", lengths)):
         if known is not None:

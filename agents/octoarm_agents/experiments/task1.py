@@ -8,7 +8,6 @@ of features may use what is known at t, and is to give y(t + 1).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from octoarm_agents.reservoir.inputs import (
     smooth_noise,
 )
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_env import Arm, ArmParameters, DomainError
+from octoarm_env import Arm, ArmParameters
 
 __all__ = [
     "HOLD_STEPS",
@@ -37,7 +36,6 @@ __all__ = [
     "WASHOUT_STEPS",
     "Drive",
     "check_timestep",
-    "describe_failure",
     "fit_readout",
     "mean_squared_errors",
     "record_lengths",
@@ -194,9 +192,3 @@ def score_features(features: Float, drive: Drive) -> tuple[Scores, Readout]:
         for phase, rows in (("test", drive.test), ("training", drive.training))
     }
     return scores, readout
-
-
-def describe_failure(error: DomainError) -> dict[str, Any]:
-    """A domain error as plain numbers."""
-    names = ("limit", "compartment", "value", "low", "high", "time")
-    return {"message": str(error)} | {name: getattr(error, name) for name in names}

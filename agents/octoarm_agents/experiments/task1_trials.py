@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from octoarm_agents.experiments.task1 import (
     Drive,
-    describe_failure,
     fit_readout,
     mean_squared_errors,
     record_lengths,
@@ -22,6 +21,7 @@ from octoarm_agents.experiments.task1 import (
     trial_streams,
 )
 from octoarm_agents.reservoir.baselines import BASELINES
+from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import ArmParameters, DomainError
 
@@ -70,7 +70,7 @@ def score_arm(
     try:
         lengths = record_lengths(parameters, drive, amplitude)
     except DomainError as error:
-        return result | {"failure": describe_failure(error)}
+        return result | {"failure": describe_domain_error(error)}
     scores, readout = score_features(lengths, drive)
     (noise_stream,) = trial_streams(seed, trial, 1)
     noisy = [
@@ -114,7 +114,7 @@ def compare_methods(
     try:
         lengths = record_lengths(parameters, drive, amplitude)
     except DomainError as error:
-        return result | {"failure": describe_failure(error)}
+        return result | {"failure": describe_domain_error(error)}
     scores, readout = score_features(lengths, drive)
     noisy = [
         score_features(lengths + noise_stream.normal(0.0, level, lengths.shape), drive)[0]
@@ -145,7 +145,7 @@ def leave_out_compartments(
     try:
         lengths = record_lengths(parameters, drive, amplitude)
     except DomainError as error:
-        return result | {"failure": describe_failure(error)}
+        return result | {"failure": describe_domain_error(error)}
     readout = fit_readout(lengths, drive)
     test, targets = lengths[drive.test], drive.targets[drive.test]
     outputs = readout.predict(test)

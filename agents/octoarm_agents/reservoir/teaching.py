@@ -27,6 +27,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from threadpoolctl import threadpool_limits
 
 from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
 from octoarm_agents.reservoir.readout import Readout
@@ -125,8 +126,9 @@ def teach(parameters: ArmParameters, teaching: Teaching) -> Taught:
         ValueError: a target, actuator or size that cannot be.
         DomainError: the arm cannot follow the teacher.
     """
-    lesson = Lesson(parameters, teaching)
-    return lesson.teach(teaching)
+    # Sums split over threads are rounded otherwise.
+    with threadpool_limits(1):
+        return Lesson(parameters, teaching).teach(teaching)
 
 
 class Lesson:

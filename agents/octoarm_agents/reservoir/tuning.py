@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
@@ -83,18 +84,34 @@ def tune(
         ValueError: too few evaluations, or noise that cannot be.
         DomainError: the arm cannot follow the teacher.
     """
-    import cma
-
     if evaluations < 8:
         raise ValueError(f"evaluations = {evaluations}: expected at least 8")
     if not (noise >= 0 and math.isfinite(noise)):
         raise ValueError(f"noise = {noise}: expected a number of degrees, not negative")
-    judge = _Judge(Lesson(parameters, teaching), noise)
+    # Sums split over threads are rounded otherwise, and the search would take another way.
+    with threadpool_limits(1):
+        return _search(
+            _Judge(Lesson(parameters, teaching), noise), teaching, evaluations, seed, advance
+        )
+
+
+def _search(
+    judge: _Judge,
+    teaching: Teaching,
+    evaluations: int,
+    seed: int,
+    advance: Callable[[], None] | None,
+) -> Tuned:
+    import cma
+
+    random = np.random.default_rng(seed)
     search = cma.CMAEvolutionStrategy(
         list(_START),
         _SPREAD,
         {
-            "seed": seed + 1,  # the library takes 0 for the time of day
+            # Its own generator: a seed would be NumPy's global one's.
+            "seed": math.nan,
+            "randn": lambda *shape: random.standard_normal(shape),
             "popsize": 8,
             "bounds": [list(_LOWEST), list(_HIGHEST)],
             "verbose": -9,
@@ -116,6 +133,8 @@ def tune(
 
 
 class _Judge:
+    """Closes the loop of each candidate from the same start, under the same noise."""
+
     def __init__(self, lesson: Lesson, noise: float) -> None:
         run = lesson.run
         self._lesson = lesson

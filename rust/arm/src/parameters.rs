@@ -68,7 +68,9 @@ pub struct ArmParameters {
     pub drag_coefficients: [f64; 5],
     /// Eq. 15, highest power first, angle in degrees.
     pub lift_coefficients: [f64; 5],
-    /// Factor on the lift force; 0 turns lift off.
+    /// Factor on the lift force; 0 turns lift off. Eq. 13 leaves its direction open: +1 is along the
+    /// part of −v normal to the strut, as on a slender body in a cross-flow; −1, which meets the
+    /// paper's results, is the opposite (docs/body.md).
     pub lift_scale: f64,
     /// Mass `M_ce` of a plane at its centre \[kg\], beside its four joint masses.
     pub plane_mass: f64,
