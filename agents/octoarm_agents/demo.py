@@ -53,9 +53,14 @@ _CHUNK = 1_000
 _SHAPES = 8
 
 
-BURSTS = {"direct": 0.05, "servo": 10.0}
-"""Half width of the noise that each actuator shows the recovery from [degrees]. Noise renewed every
-millisecond is a huge load on a base without inertia; through the servo it is the paper's own."""
+BURSTS = {
+    "quadratic": {"direct": 0.05, "servo": 10.0},
+    "van_der_pol": {"direct": 0.05, "servo": 10.0},
+    "lissajous": {"direct": 0.02, "servo": 0.3},
+}
+"""Half width of the noise from which each cycle shows its recovery, by actuator [degrees]. Through
+the servo it is the paper's own; renewed every millisecond on a base without inertia it is a huge
+load, and smaller: `octoarm reproduce limit-cycles` looks for the largest."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class DemoSettings:
     """
 
     teaching: Teaching = CYCLES["quadratic"]["direct"]
-    burst: float = BURSTS["direct"]
+    burst: float = BURSTS["quadratic"]["direct"]
     steps: int = 20_000
     seed: int = 0
 

@@ -71,7 +71,7 @@ def demo(
         typer.Option(
             help="ε: half width in degrees of the white noise on both outputs, "
             "for 1000 steps half-way.",
-            show_default="0.05, servo 10",
+            show_default="the cycle's own",
             callback=number_between(0.0, 360.0, "degrees"),
         ),
     ] = None,
@@ -121,7 +121,7 @@ def demo(
         teaching = replace(teaching, disturbances=(0.0,) * len(TIME_SCALES))
     settings = arm_demo.DemoSettings(
         teaching=teaching,
-        burst=arm_demo.BURSTS[actuator] if burst is None else burst,
+        burst=arm_demo.BURSTS[target][actuator] if burst is None else burst,
         steps=steps,
         seed=seed,
     )
