@@ -8,7 +8,7 @@ from octoarm_agents.experiments.floquet_trials import noise_response
 from octoarm_agents.reservoir import Readout
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release, score_window
 from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
-from octoarm_agents.reservoir.teaching import TIME_SCALES, Lesson, Teaching, teach
+from octoarm_agents.reservoir.teaching import UNDISTURBED, Lesson, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
@@ -16,7 +16,6 @@ from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 # Told in full where loops depend on it, whatever the default body is.
 BODY = ArmParameters(area_scale=5.0, lift_scale=1.0, plane_mass=0.0)
 
-NONE = (0.0,) * len(TIME_SCALES)
 SOME = (1e-3, 2e-3, 5e-3, 5e-3, 2e-3, 1e-2)
 
 GOOD = Teaching("lissajous", 20.0, 1e-4, steps=20_000, washout=4_000)
@@ -33,12 +32,12 @@ def lesson():
 
 @pytest.fixture(scope="module")
 def good(lesson):
-    return lesson.weights(GOOD.noise, NONE)[0]
+    return lesson.weights(GOOD.noise, UNDISTURBED)[0]
 
 
 @pytest.fixture(scope="module")
 def wild(lesson):
-    return lesson.weights(WILD.noise, NONE)[0]
+    return lesson.weights(WILD.noise, UNDISTURBED)[0]
 
 
 def hold(weights):
@@ -75,7 +74,7 @@ class TestTeaching:
         np.testing.assert_array_equal(taught.readout.weights_, readout.weights_)
 
     def test_the_readout_answers_less_to_what_is_penalised(self, lesson):
-        plain, plain_error = lesson.weights(1e-6, NONE)
+        plain, plain_error = lesson.weights(1e-6, UNDISTURBED)
         weighted, weighted_error = lesson.weights(1e-6, SOME)
         assert weighted_error > plain_error
         # The body that follows a base disturbed a little, more slowly than in any of the scales.
@@ -89,7 +88,7 @@ class TestTeaching:
     def test_the_seed_is_that_of_the_disturbances(self, lesson):
         other = Lesson(BODY, replace(GOOD, seed=1))
         np.testing.assert_array_equal(
-            other.weights(GOOD.noise, NONE)[0], lesson.weights(GOOD.noise, NONE)[0]
+            other.weights(GOOD.noise, UNDISTURBED)[0], lesson.weights(GOOD.noise, UNDISTURBED)[0]
         )
         assert not np.array_equal(
             other.weights(GOOD.noise, SOME)[0], lesson.weights(GOOD.noise, SOME)[0]
@@ -105,7 +104,10 @@ class TestTeaching:
             ({"noise": -1e-6}, "noise = -1e-06: expected a number of metres, not negative"),
             ({"noise": float("nan")}, "noise = nan"),
             ({"disturbances": (0.1,)}, "expected 6 numbers of degrees"),
-            ({"disturbances": (-1.0, *NONE[1:])}, "expected 6 numbers of degrees, not negative"),
+            (
+                {"disturbances": (-1.0, *UNDISTURBED[1:])},
+                "expected 6 numbers of degrees, not negative",
+            ),
             ({"washout": -1}, "washout = -1: expected 0 or more"),
             ({"steps": 17_999}, "steps = 17999: expected at least 18000"),
             ({"washout": 19_500}, "steps = 20000: expected at least 20500"),

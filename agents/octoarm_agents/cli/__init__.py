@@ -13,7 +13,8 @@ __all__ = ["app", "main"]
 
 app = typer.Typer(
     name="octoarm",
-    help="The soft robotic octopus arm of Nakajima et al. (2013): demonstrations and benchmarks.",
+    help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir: demonstration, "
+    "the paper's results, calibration, analysis, benchmark.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

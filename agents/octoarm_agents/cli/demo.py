@@ -109,7 +109,7 @@ def demo(
     from octoarm_agents.demo_figure import draw_demo
     from octoarm_agents.experiments.cycle_settings import CYCLES
     from octoarm_agents.files import write_atomically, write_json
-    from octoarm_agents.reservoir.teaching import TIME_SCALES
+    from octoarm_agents.reservoir.teaching import UNDISTURBED
 
     parameters = read_body(arm)
     teaching = CYCLES[target][actuator]
@@ -118,7 +118,7 @@ def demo(
     if noise is not None:
         teaching = replace(teaching, noise=noise)
     if plain:
-        teaching = replace(teaching, disturbances=(0.0,) * len(TIME_SCALES))
+        teaching = replace(teaching, disturbances=UNDISTURBED)
     settings = arm_demo.DemoSettings(
         teaching=teaching,
         burst=arm_demo.BURSTS[target][actuator] if burst is None else burst,

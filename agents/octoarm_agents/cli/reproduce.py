@@ -93,12 +93,13 @@ def reproduce(
 ) -> None:
     """Reproduce a table or figure of the paper: a JSON file, a picture, and a table printed.
 
-    Finished trials are kept beside the files in .NAME-trials, so that an interrupted run goes on
+    Finished trials are kept beside the files, in hidden folders, so that an interrupted run goes on
     where it ended. Trials in which the arm leaves its domain are reported as failed.
     """
     from rich.console import Console
 
     from octoarm_agents.experiments import load_experiment
+    from octoarm_agents.experiments.refusal import RefusedError
     from octoarm_agents.experiments.runner import Context
     from octoarm_agents.experiments.runner import reproduce as run
 
@@ -117,9 +118,7 @@ def reproduce(
     for each in EXPERIMENTS if name == ALL else (name,):
         try:
             result = run(load_experiment(each), context)
-        except ValueError as error:
-            if not _is_refusal(error):
-                raise
+        except RefusedError as error:
             raise typer.BadParameter(f"{each}: {error}.") from None
         for table in load_experiment(each).tables(result):
             console.print(_table(table))
@@ -137,19 +136,6 @@ def _check_body(parameters: ArmParameters) -> ArmParameters:
     except ValueError as error:  # it has no static equilibrium
         raise typer.BadParameter(str(error), param_hint="'--arm'") from None
     return parameters
-
-
-def _is_refusal(error: ValueError) -> bool:
-    """Whether an experiment refuses what it was asked for; if not, it is an error within.
-
-    An experiment refuses settings by a ValueError of its own. One that comes from deeper down, or
-    out of a process of the trials, was not foreseen.
-    """
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    raised_in = "" if trace is None else trace.tb_frame.f_globals.get("__name__", "")
-    return raised_in.startswith("octoarm_agents.experiments.")
 
 
 def _table(content: ResultTable) -> Table:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.experiments.runner import Context, ResultTable
 from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
@@ -36,7 +37,7 @@ def run_ratios(
     check_timestep(context.parameters)
     compartments = context.parameters.compartments
     if compartments < 2:
-        raise ValueError("compartments = 1: none can be left out of a single one")
+        raise RefusedError("compartments = 1: none can be left out of a single one")
     assert context.trials is not None
     amplitude = RANGE if context.amplitude is None else context.amplitude
     trials = context.run(

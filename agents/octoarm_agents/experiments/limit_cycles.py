@@ -22,6 +22,7 @@ from octoarm_agents.experiments.cycle_settings import (
     PAPER_NOISES,
     PLAIN_NOISES,
 )
+from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.task2 import (
     FOLDER,
@@ -37,13 +38,11 @@ from octoarm_agents.experiments.task2 import (
 )
 from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, BURST_RUN, hold_cycle
 from octoarm_agents.reservoir.closed_loop import WINDOW_STEPS
-from octoarm_agents.reservoir.teaching import TIME_SCALES
+from octoarm_agents.reservoir.teaching import UNDISTURBED
 
 __all__ = ["EXPERIMENT"]
 
 SERIES = "series"
-UNDISTURBED = (0.0,) * len(TIME_SCALES)
-"""κ of the paper's training [degrees]."""
 
 PAPER_BURST_RULE = (
     "White noise of half width ε on both outputs, anew each step. Quadratic and Lissajous: the"
@@ -55,7 +54,7 @@ def run(context: Context) -> dict[str, Any]:
     """Hold every cycle, disturb it, and try what the paper did."""
     steps = STEPS if context.steps is None else context.steps
     if steps < 2 * WINDOW_STEPS:
-        raise ValueError(f"steps = {steps}: expected at least {2 * WINDOW_STEPS}")
+        raise RefusedError(f"steps = {steps}: expected at least {2 * WINDOW_STEPS}")
     taught = teach_cycles(context)
     held = _hold(context, [each for pair in taught.values() for each in pair.values()], steps)
     cycles: dict[str, Any] = {}

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.reservoir.emulation import SYSTEMS, emulation_targets
 from octoarm_agents.reservoir.inputs import (
     PEAK,
@@ -160,7 +161,7 @@ def record_lengths(parameters: ArmParameters, drive: Drive, amplitude: float) ->
 def check_timestep(parameters: ArmParameters) -> None:
     """Refuse a body with which In(t) and the targets would be of another timestep."""
     if parameters.timestep != TIMESTEP:
-        raise ValueError(
+        raise RefusedError(
             f"timestep = {parameters.timestep}: the emulation tasks are defined at {TIMESTEP} s"
         )
 

@@ -33,12 +33,15 @@ from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
-__all__ = ["TIME_SCALES", "Lesson", "Taught", "Teaching", "teach"]
+__all__ = ["TIME_SCALES", "UNDISTURBED", "Lesson", "Taught", "Teaching", "teach"]
 
 Float = NDArray[np.float64]
 
 TIME_SCALES = (0, 3, 10, 30, 100, 300)
 """Correlation times of the base's disturbances [steps]; 0 is white noise."""
+
+UNDISTURBED = (0.0,) * len(TIME_SCALES)
+"""κ of the paper's training [degrees]: nothing but white noise on the lengths."""
 
 _DISTURBANCE = 0.02
 """Root mean square of a disturbance while its effect is recorded [degrees]: so small that the
@@ -74,7 +77,7 @@ class Teaching:
     target: str
     amplitude: float
     noise: float
-    disturbances: tuple[float, ...] = (0.0,) * len(TIME_SCALES)
+    disturbances: tuple[float, ...] = UNDISTURBED
     actuator: Literal["direct", "servo"] = "direct"
     steps: int = 70_000
     washout: int = 10_000

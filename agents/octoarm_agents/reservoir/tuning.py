@@ -22,18 +22,25 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
-from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
+from octoarm_env import LIMIT_CYCLES, ArmParameters
 
 __all__ = ["Tuned", "tune"]
 
 Float = NDArray[np.float64]
 
-FORCED_STEPS = 5_000
 TRIAL_STEPS = 12_000
-WINDOW_STEPS = 2_000
 _CHUNK = 2_000
+_NEAR_STEPS = 500
+_LOST = 0.3
+"""A trial ends early where the last steps of a chunk are farther from the orbit than that, in units
+of the amplitude."""
+
+_WINDOW_STEPS = 2_000
+_PERIOD = 0.02
+"""Steps at the end of a trial that are scored, and the part by which their period may be off."""
 
 _START = (-5.5, -3.5, -2.5, -1.5, -1.5, -2.0, -2.0)
 _SPREAD = 0.7
@@ -167,25 +174,21 @@ class _Judge:
 
     def _trial(self, weights: Float) -> tuple[int, float | None]:
         """Steps that the loop held the cycle, and its distance in the end if it did throughout."""
-        arm = copy.deepcopy(self._start)
-        done = 0
-        try:
-            while done < TRIAL_STEPS:
-                noise = self._noise[done : done + _CHUNK]
-                outputs, _ = arm.run_closed_loop(weights, _CHUNK, noise)
-                done += _CHUNK
-                near = orbit_distance(outputs[-500:], self._orbit).mean() / self._amplitude
-                if near > 0.3:
-                    return done, None
-        except DomainError as error:
-            return done + error.step, None
-        except ValueError:  # an output beyond all angles
-            return done, None
-        window = outputs[-WINDOW_STEPS:]
-        if not abs(turn_time(window[:, 1]) / self._period - 1) < 0.02:
-            return done, None
+        loop = ClosedLoop(
+            copy.deepcopy(self._start), weights, self._amplitude, jump=None, rest=None
+        )
+        for begin in range(0, TRIAL_STEPS, _CHUNK):
+            outputs = loop.run(_CHUNK, self._noise[begin : begin + _CHUNK])
+            if loop.failure is not None:
+                return len(loop.outputs), None
+            near = orbit_distance(outputs[-_NEAR_STEPS:], self._orbit).mean() / self._amplitude
+            if near > _LOST:
+                return len(loop.outputs), None
+        window = outputs[-_WINDOW_STEPS:]
+        if not abs(turn_time(window[:, 1]) / self._period - 1) < _PERIOD:
+            return TRIAL_STEPS, None
         distances = orbit_distance(window, self._orbit) / self._amplitude
-        return done, float(distances.mean() + 0.2 * distances.max())
+        return TRIAL_STEPS, float(distances.mean() + 0.2 * distances.max())
 
 
 def _instability(exponents: Float) -> float:
