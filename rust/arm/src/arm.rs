@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::base::{Actuator, BaseDrive, BaseMotion};
-use crate::domain::find_failure;
+use crate::base::{Actuator, BaseMotion};
 use crate::energy::{Energy, energy, plane_centres};
-use crate::engine::{Engine, InstructionSet};
+use crate::engine::InstructionSet;
 use crate::equilibrium::static_equilibrium;
 use crate::error::{DomainError, ParameterError};
-use crate::kernel::place;
+use crate::lanes::Lanes;
 use crate::parameters::ArmParameters;
 use crate::state::{ArmState, COORDINATES};
 
@@ -28,12 +27,7 @@ pub const COMMAND_LIMIT: f64 = 3600.0;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Arm {
-    parameters: Arc<ArmParameters>,
-    drive: BaseDrive,
-    engine: Engine<1>,
-    instructions: InstructionSet,
-    base: [f64; 4],
-    steps: u64,
+    lane: Lanes<1>,
     equilibrium: Option<Arc<ArmState>>,
 }
 
@@ -60,43 +54,38 @@ impl Arm {
         actuator: Actuator,
     ) -> Result<Self, ParameterError> {
         parameters.validate()?;
-        let mut arm = Self {
-            drive: BaseDrive::new(actuator, parameters.servo_frequency, parameters.timestep),
-            engine: Engine::new(&parameters),
-            instructions: InstructionSet::detected(),
-            base: [0.0; 4],
-            steps: 0,
-            equilibrium: None,
-            parameters: Arc::new(parameters),
-        };
-        arm.reset_undeformed();
-        Ok(arm)
+        let lane = Lanes::new([Arc::new(parameters)], [actuator], InstructionSet::detected());
+        Ok(Self { lane, equilibrium: None })
+    }
+
+    pub(crate) fn lane(&self) -> &Lanes<1> {
+        &self.lane
     }
 
     /// The same arm computing with other vector instructions, or with the best there are if the
     /// processor lacks them. The results are the same to the bit.
     #[must_use]
     pub fn with_instruction_set(mut self, instructions: InstructionSet) -> Self {
-        self.instructions = instructions.min(InstructionSet::best());
+        self.lane.instructions = instructions.min(InstructionSet::best());
         self
     }
 
     /// The body's parameters.
     #[must_use]
     pub fn parameters(&self) -> &ArmParameters {
-        &self.parameters
+        self.lane.parameters(0)
     }
 
     /// How the base follows its command.
     #[must_use]
     pub fn actuator(&self) -> Actuator {
-        self.drive.actuator()
+        self.lane.actuator(0)
     }
 
     /// Number of observed spring lengths, four a compartment.
     #[must_use]
     pub fn observation_len(&self) -> usize {
-        4 * self.parameters.compartments
+        self.lane.observation_len()
     }
 
     /// Back to static equilibrium at θ = φ = 0 without muscle inputs.
@@ -106,14 +95,14 @@ impl Arm {
     pub fn reset(&mut self) -> Result<(), ParameterError> {
         let state = match &self.equilibrium {
             Some(state) => Arc::clone(state),
-            None => Arc::new(static_equilibrium(&self.parameters, self.instructions)?),
+            None => Arc::new(static_equilibrium(self.parameters(), self.lane.instructions)?),
         };
-        let before = (self.state(), self.engine.muscles.clone());
+        let before = (self.state(), self.muscles());
         self.clear_muscles();
-        self.restore(&state);
-        if let Some(failure) = self.present_failure() {
-            self.restore(&before.0);
-            self.engine.muscles = before.1;
+        self.lane.restore(0, &state);
+        if let Some(failure) = self.lane.present_failure(0) {
+            self.lane.restore(0, &before.0);
+            self.set_muscles(&before.1.0, &before.1.1)?;
             return Err(ParameterError::NoEquilibrium { reason: failure.to_string() });
         }
         self.equilibrium = Some(state);
@@ -122,35 +111,18 @@ impl Arm {
 
     /// Back to rest with every spring at its rest length, θ = φ = 0, without muscle inputs.
     pub fn reset_undeformed(&mut self) {
-        let state = ArmState::undeformed(&self.parameters);
         self.clear_muscles();
-        self.restore(&state);
+        self.lane.restore(0, &ArmState::undeformed(self.lane.parameters(0)));
     }
 
     fn clear_muscles(&mut self) {
-        self.engine.muscles.fill(crate::kernel::Muscles::ZERO);
-    }
-
-    fn restore(&mut self, state: &ArmState) {
-        self.engine.set_state(0, &state.coordinates, &state.rates);
-        self.engine.refresh_lengths();
-        self.base = state.base;
-        self.steps = state.steps;
+        self.lane.clear_muscles();
     }
 
     /// The complete state.
     #[must_use]
     pub fn state(&self) -> ArmState {
-        let n = self.parameters.compartments;
-        let read = |entry: &dyn Fn(usize, usize) -> f64| {
-            (0..n).map(|j| std::array::from_fn(|index| entry(j, index))).collect()
-        };
-        ArmState {
-            coordinates: read(&|j, index| self.engine.coordinate(0, j, index)),
-            rates: read(&|j, index| self.engine.rate(0, j, index)),
-            base: self.base,
-            steps: self.steps,
-        }
+        self.lane.state(0)
     }
 
     /// Restores a state exactly: the steps that follow have the same bits.
@@ -159,40 +131,26 @@ impl Arm {
     /// [`ParameterError`] for a state of another shape, with numbers that are not finite, or outside
     /// the domain; the arm is then unchanged.
     pub fn set_state(&mut self, state: &ArmState) -> Result<(), ParameterError> {
-        state.validate(self.parameters.compartments)?;
-        let before = self.state();
-        self.restore(state);
-        if let Some(failure) = self.present_failure() {
-            self.restore(&before);
-            return Err(ParameterError::OutOfRange {
-                name: format!(
-                    "state: {} of compartment {}",
-                    failure.limit.name(),
-                    failure.compartment
-                ),
-                value: failure.value.to_string(),
-                range: format!("[{}, {}]", failure.low, failure.high),
-            });
-        }
-        Ok(())
+        self.lane.set_state(0, state)
     }
 
     /// Time since the last reset \[s\].
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.steps as f64 * self.parameters.timestep
+        self.lane.steps(0) as f64 * self.parameters().timestep
     }
 
     /// The base, `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
     #[must_use]
     pub fn base(&self) -> [f64; 4] {
-        self.base
+        self.lane.base(0)
     }
 
     /// The base angles θ, φ \[degrees\].
     #[must_use]
     pub fn base_degrees(&self) -> [f64; 2] {
-        [self.base[0].to_degrees(), self.base[1].to_degrees()]
+        let [theta, phi, _, _] = self.base();
+        [theta.to_degrees(), phi.to_degrees()]
     }
 
     /// Muscle inputs ξ_c and δ_c of every spring \[N\], in observation order; they act until changed.
@@ -204,46 +162,13 @@ impl Arm {
         longitudinal: &[f64],
         transverse: &[f64],
     ) -> Result<(), ParameterError> {
-        let inputs = [("longitudinal", longitudinal), ("transverse", transverse)];
-        for (name, values) in inputs {
-            if values.len() != self.observation_len() {
-                return Err(ParameterError::Shape {
-                    name: name.to_owned(),
-                    found: format!("({},)", values.len()),
-                    expected: format!("({},)", self.observation_len()),
-                });
-            }
-            if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-                return Err(ParameterError::OutOfRange {
-                    name: name.to_owned(),
-                    value: value.to_string(),
-                    range: "of finite numbers".to_owned(),
-                });
-            }
-        }
-        for j in 0..self.parameters.compartments {
-            let (chunk, slot) = place::<1>(j);
-            for i in 0..4 {
-                self.engine.muscles[chunk].longitudinal[i][slot] = longitudinal[4 * j + i];
-                self.engine.muscles[chunk].transverse[i][slot] = transverse[4 * j + i];
-            }
-        }
-        Ok(())
+        self.lane.set_muscles(0, longitudinal, transverse)
     }
 
     /// The muscle inputs ξ_c and δ_c \[N\], in observation order.
     #[must_use]
     pub fn muscles(&self) -> (Vec<f64>, Vec<f64>) {
-        let mut longitudinal = Vec::with_capacity(self.observation_len());
-        let mut transverse = Vec::with_capacity(self.observation_len());
-        for j in 0..self.parameters.compartments {
-            let (chunk, slot) = place::<1>(j);
-            for i in 0..4 {
-                longitudinal.push(self.engine.muscles[chunk].longitudinal[i][slot]);
-                transverse.push(self.engine.muscles[chunk].transverse[i][slot]);
-            }
-        }
-        (longitudinal, transverse)
+        self.lane.muscles(0)
     }
 
     /// Writes the lengths of the longitudinal springs \[m\], index 4 (j − 1) + (i − 1).
@@ -251,11 +176,7 @@ impl Arm {
     /// # Panics
     /// If `out` is shorter than [`Arm::observation_len`].
     pub fn lengths_into(&self, out: &mut [f64]) {
-        for (j, row) in out[..self.observation_len()].chunks_exact_mut(4).enumerate() {
-            for (i, value) in row.iter_mut().enumerate() {
-                *value = self.engine.length(0, j, i);
-            }
-        }
+        self.lane.lengths_into(0, out);
     }
 
     /// Lengths of the longitudinal springs \[m\], index 4 (j − 1) + (i − 1).
@@ -269,7 +190,7 @@ impl Arm {
     /// Kinetic and elastic energy.
     #[must_use]
     pub fn energy(&self) -> Energy {
-        energy(&self.parameters, &self.state(), &self.lengths())
+        energy(self.parameters(), &self.state(), &self.lengths())
     }
 
     /// Centres of all planes, base first \[m\].
@@ -281,13 +202,13 @@ impl Arm {
     /// Accelerations of all coordinates in the present state under a given motion of the base.
     #[must_use]
     pub fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {
-        self.engine.accelerations(self.instructions, base)
+        self.lane.accelerations(base)
     }
 
     /// The base's motion over the next step under a command in degrees: start, middle and end.
     #[must_use]
     pub fn base_motion(&self, command: [f64; 2]) -> [BaseMotion; 3] {
-        self.drive.motion(&self.base, command.map(f64::to_radians))
+        self.lane.motion(&[command]).map(|instant| instant.lane(0))
     }
 
     /// One physics step of `timestep` seconds under the commanded base angles θ, φ \[degrees\].
@@ -296,18 +217,10 @@ impl Arm {
     /// [`DomainError`] if the step would leave the model's domain (a command that is not finite
     /// counts as that too); the arm keeps the state it had.
     pub fn step(&mut self, command: [f64; 2]) -> Result<(), DomainError> {
-        let motion = self.base_motion(command);
-        if !self.engine.advance(self.instructions, &motion.map(|instant| [instant])) {
-            if let Some(failure) = self.refusal() {
-                return Err(failure);
-            }
-            // Within rounding of a limit: the check in words finds nothing wrong.
-            self.engine.accept();
+        if self.lane.step(&[command], &[true]) {
+            return Ok(());
         }
-        let [_, _, end] = motion;
-        self.base = [end.angle[0], end.angle[1], end.rate[0], end.rate[1]];
-        self.steps = self.steps.saturating_add(1);
-        Ok(())
+        self.lane.failure(0).map_or(Ok(()), Err)
     }
 
     /// Follows a sequence of commands \[degrees\], writing the lengths after each step.
@@ -367,32 +280,6 @@ impl Arm {
             now.copy_from_slice(row);
         }
         Ok(())
-    }
-
-    fn present_failure(&self) -> Option<DomainError> {
-        self.find_failure(
-            |j, index| self.engine.coordinate(0, j, index),
-            |j, index| self.engine.rate(0, j, index),
-            |j, i| self.engine.length(0, j, i),
-        )
-    }
-
-    fn refusal(&self) -> Option<DomainError> {
-        self.find_failure(
-            |j, index| self.engine.refused(0, j).0[index],
-            |j, index| self.engine.refused(0, j).1[index],
-            |j, i| self.engine.refused(0, j).2[i],
-        )
-    }
-
-    fn find_failure(
-        &self,
-        coordinate: impl Fn(usize, usize) -> f64,
-        rate: impl Fn(usize, usize) -> f64,
-        length: impl Fn(usize, usize) -> f64,
-    ) -> Option<DomainError> {
-        let time = (self.steps as f64 + 1.0) * self.parameters.timestep;
-        find_failure(&self.parameters, coordinate, rate, length, time)
     }
 }
 

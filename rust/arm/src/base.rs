@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::parameters::ArmParameters;
 use crate::transcendental::exp_negative;
 
 /// What stands between the commanded and the actual base angle.
@@ -64,58 +65,100 @@ impl Servo {
     }
 }
 
-/// The base's motion over one physics step, for a given actuator.
+/// The bases of `L` arms at one instant: [`BaseMotion`] by rows.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct BaseDrive {
-    actuator: Actuator,
-    timestep: f64,
-    half: Servo,
-    full: Servo,
+pub(crate) struct BaseRows<const L: usize> {
+    pub(crate) angle: [[f64; L]; 2],
+    pub(crate) rate: [[f64; L]; 2],
+    pub(crate) acceleration: [[f64; L]; 2],
 }
 
-impl BaseDrive {
-    pub(crate) fn new(actuator: Actuator, frequency: f64, timestep: f64) -> Self {
-        Self {
-            actuator,
-            timestep,
-            half: Servo::new(frequency, 0.5 * timestep),
-            full: Servo::new(frequency, timestep),
+impl<const L: usize> BaseRows<L> {
+    const STILL: Self =
+        Self { angle: [[0.0; L]; 2], rate: [[0.0; L]; 2], acceleration: [[0.0; L]; 2] };
+
+    /// The motion of one lane.
+    pub(crate) fn lane(&self, lane: usize) -> BaseMotion {
+        BaseMotion {
+            angle: self.angle.map(|row| row[lane]),
+            rate: self.rate.map(|row| row[lane]),
+            acceleration: self.acceleration.map(|row| row[lane]),
         }
     }
 
-    pub(crate) fn actuator(&self) -> Actuator {
-        self.actuator
+    /// The base at this instant, `[θ, φ, θ̇, φ̇]`.
+    pub(crate) fn state(&self) -> [[f64; L]; 4] {
+        [self.angle[0], self.angle[1], self.rate[0], self.rate[1]]
+    }
+}
+
+impl From<&BaseMotion> for BaseRows<1> {
+    fn from(motion: &BaseMotion) -> Self {
+        Self {
+            angle: motion.angle.map(|value| [value]),
+            rate: motion.rate.map(|value| [value]),
+            acceleration: motion.acceleration.map(|value| [value]),
+        }
+    }
+}
+
+/// The motion of `L` bases over one physics step, each with an actuator of its own.
+#[derive(Clone, Debug)]
+pub(crate) struct BaseDrive<const L: usize> {
+    actuator: [Actuator; L],
+    timestep: [f64; L],
+    half: [Servo; L],
+    full: [Servo; L],
+}
+
+impl<const L: usize> BaseDrive<L> {
+    pub(crate) fn new(arms: &[(&ArmParameters, Actuator); L]) -> Self {
+        let servo =
+            |share: f64| arms.map(|(arm, _)| Servo::new(arm.servo_frequency, share * arm.timestep));
+        Self {
+            actuator: arms.map(|(_, actuator)| actuator),
+            timestep: arms.map(|(arm, _)| arm.timestep),
+            half: servo(0.5),
+            full: servo(1.0),
+        }
+    }
+
+    pub(crate) fn actuator(&self, lane: usize) -> Actuator {
+        self.actuator[lane]
     }
 
     /// Motion at the start, middle and end of a step that starts from `base`
-    /// (`[θ, φ, θ̇, φ̇]`, rad) under a command in radians.
-    pub(crate) fn motion(&self, base: &[f64; 4], command: [f64; 2]) -> [BaseMotion; 3] {
-        let mut motion = [BaseMotion::default(); 3];
+    /// (`[θ, φ, θ̇, φ̇]`, rad) under commands in radians.
+    pub(crate) fn motion(&self, base: &[[f64; L]; 4], command: &[[f64; L]; 2]) -> [BaseRows<L>; 3] {
+        let mut motion = [BaseRows::STILL; 3];
         for axis in 0..2 {
-            let (angle, rate) = (base[axis], base[axis + 2]);
-            let goal = command[axis];
-            match self.actuator {
-                Actuator::Direct => {
-                    let travel = goal - angle;
-                    let velocity = travel / self.timestep;
-                    let acceleration = (velocity - rate) / self.timestep;
-                    let angles = [angle, angle + 0.5 * travel, goal];
-                    for (instant, angle) in motion.iter_mut().zip(angles) {
-                        instant.angle[axis] = angle;
-                        instant.rate[axis] = velocity;
-                        instant.acceleration[axis] = acceleration;
+            for lane in 0..L {
+                let (angle, rate) = (base[axis][lane], base[axis + 2][lane]);
+                let goal = command[axis][lane];
+                match self.actuator[lane] {
+                    Actuator::Direct => {
+                        let travel = goal - angle;
+                        let velocity = travel / self.timestep[lane];
+                        let acceleration = (velocity - rate) / self.timestep[lane];
+                        let angles = [angle, angle + 0.5 * travel, goal];
+                        for (instant, angle) in motion.iter_mut().zip(angles) {
+                            instant.angle[axis][lane] = angle;
+                            instant.rate[axis][lane] = velocity;
+                            instant.acceleration[axis][lane] = acceleration;
+                        }
                     }
-                }
-                Actuator::Servo => {
-                    let states = [
-                        (angle, rate),
-                        self.half.advance(angle, rate, goal),
-                        self.full.advance(angle, rate, goal),
-                    ];
-                    for (instant, (angle, rate)) in motion.iter_mut().zip(states) {
-                        instant.angle[axis] = angle;
-                        instant.rate[axis] = rate;
-                        instant.acceleration[axis] = self.full.acceleration(angle, rate, goal);
+                    Actuator::Servo => {
+                        let states = [
+                            (angle, rate),
+                            self.half[lane].advance(angle, rate, goal),
+                            self.full[lane].advance(angle, rate, goal),
+                        ];
+                        for (instant, (angle, rate)) in motion.iter_mut().zip(states) {
+                            instant.angle[axis][lane] = angle;
+                            instant.rate[axis][lane] = rate;
+                            instant.acceleration[axis][lane] =
+                                self.full[lane].acceleration(angle, rate, goal);
+                        }
                     }
                 }
             }

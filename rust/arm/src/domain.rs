@@ -9,8 +9,9 @@
 //! height was never seen to come back.
 
 use crate::error::{DomainError, Limit};
-use crate::kernel::Block;
+use crate::kernel::{Block, Lengths, Row, WIDTH, lane_row};
 use crate::parameters::ArmParameters;
+use crate::state::COORDINATES;
 
 /// Largest |α| and |β| of a universal joint \[rad\]: 150 degrees.
 pub const BEND_ANGLE: f64 = 5.0 * std::f64::consts::FRAC_PI_6;
@@ -37,7 +38,7 @@ pub(crate) fn find_failure(
         let fail = |limit, value, (low, high)| {
             Some(DomainError { limit, compartment: j + 1, value, low, high, time })
         };
-        for k in 0..crate::state::COORDINATES {
+        for k in 0..COORDINATES {
             let value = coordinate(j, k) + rate(j, k);
             if !value.is_finite() {
                 return fail(Limit::NotFinite, value, (f64::MIN, f64::MAX));
@@ -70,50 +71,72 @@ pub(crate) fn find_failure(
 }
 
 /// Bounds of a chunk's rows, so that the check in the loop is straight-line comparisons.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
 pub(crate) struct Bounds {
-    pub(crate) height: (f64, f64),
-    pub(crate) length: (f64, f64),
+    height: [Row; 2],
+    length: [Row; 2],
 }
 
 impl Bounds {
-    pub(crate) fn new(parameters: &ArmParameters) -> Self {
-        let height = parameters.rest_height();
-        let length = parameters.rest_length;
+    pub(crate) fn new<const L: usize>(arms: &[&ArmParameters; L]) -> Self {
+        let row = |value| lane_row::<L>(arms, value);
         Self {
-            height: (HEIGHT.0 * height, HEIGHT.1 * height),
-            length: (SPRING_LENGTH.0 * length, SPRING_LENGTH.1 * length),
+            height: [
+                row(|arm| HEIGHT.0 * arm.rest_height()),
+                row(|arm| HEIGHT.1 * arm.rest_height()),
+            ],
+            length: [
+                row(|arm| SPRING_LENGTH.0 * arm.rest_length),
+                row(|arm| SPRING_LENGTH.1 * arm.rest_length),
+            ],
         }
     }
 }
 
-/// Whether every slot of a chunk is inside the domain. May refuse a value within rounding of a limit
-/// that [`find_failure`] would pass; the step then counts as inside.
+// `f64::min` and `max` would take more than one instruction: they pass a NaN over.
 #[inline(always)]
-pub(crate) fn chunk_is_inside(
+fn smaller(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// Sets the slots of `outside` to 1 where the state is not inside the domain. May refuse a value
+/// within rounding of a limit that [`find_failure`] would pass; the step then counts as inside.
+#[inline(always)]
+pub(crate) fn mark_outside(
     bounds: &Bounds,
     coordinates: &Block,
     rates: &Block,
-    rest_radius: &[f64; crate::kernel::WIDTH],
-    lengths: &[[f64; crate::kernel::WIDTH]; 4],
-) -> bool {
-    let mut inside = true;
-    for k in 0..crate::kernel::WIDTH {
-        let q = &coordinates.0;
-        inside &= q[0][k] >= bounds.height.0;
-        inside &= q[0][k] <= bounds.height.1;
-        inside &= q[1][k].abs() <= BEND_ANGLE;
-        inside &= q[2][k].abs() <= BEND_ANGLE;
-        let (low, high) = (RADIUS.0 * rest_radius[k], RADIUS.1 * rest_radius[k]);
-        for i in 0..4 {
-            inside &= q[3 + i][k] >= low;
-            inside &= q[3 + i][k] <= high;
-            inside &= lengths[i][k] >= bounds.length.0;
-            inside &= lengths[i][k] <= bounds.length.1;
+    rest_radius: &Row,
+    Lengths(lengths): &Lengths,
+    outside: &mut Row,
+) {
+    let q = &coordinates.0;
+    for k in 0..WIDTH {
+        let bend = larger(q[1][k].abs(), q[2][k].abs());
+        let thin = smaller(smaller(q[3][k], q[4][k]), smaller(q[5][k], q[6][k]));
+        let thick = larger(larger(q[3][k], q[4][k]), larger(q[5][k], q[6][k]));
+        let [one, two, three, four] = lengths;
+        let short = smaller(smaller(one[k], two[k]), smaller(three[k], four[k]));
+        let long = larger(larger(one[k], two[k]), larger(three[k], four[k]));
+        // A NaN may hide from the comparisons above, not from this sum.
+        let mut sum = 0.0;
+        for row in 0..COORDINATES {
+            sum += q[row][k].abs() + rates.0[row][k].abs();
         }
-        for c in 0..crate::state::COORDINATES {
-            inside &= rates.0[c][k].abs() <= f64::MAX;
-        }
+        let inside = (sum <= f64::MAX)
+            & (bend <= BEND_ANGLE)
+            & (q[0][k] >= bounds.height[0][k])
+            & (q[0][k] <= bounds.height[1][k])
+            & (thin >= RADIUS.0 * rest_radius[k])
+            & (thick <= RADIUS.1 * rest_radius[k])
+            & (short >= bounds.length[0][k])
+            & (long <= bounds.length[1][k]);
+        outside[k] = if inside { outside[k] } else { 1.0 };
     }
-    inside
 }

@@ -2,35 +2,46 @@
 
 use std::sync::OnceLock;
 
-use crate::base::BaseMotion;
-use crate::domain::{Bounds, chunk_is_inside};
+use crate::base::{BaseMotion, BaseRows};
+use crate::domain::{Bounds, mark_outside};
 use crate::kernel::{
-    BaseFrame, Block, Body, Material, Muscles, Rest, Row, WIDTH, Workspace, evaluate, place,
-    spring_lengths,
+    BLOCK, BaseFrame, Block, Body, Lengths, Material, Muscles, Rest, Row, WIDTH, Workspace,
+    accelerations, articulated, inward, kinematics, lane_row, outward, place, spring_lengths,
 };
 use crate::parameters::ArmParameters;
 use crate::state::COORDINATES;
 use crate::transcendental::sin_cos;
 
-/// State and scratch memory of `L` arms of one shape.
+/// State and scratch memory of `L` arms with the same number of compartments.
 #[derive(Clone, Debug)]
 pub(crate) struct Engine<const L: usize> {
-    body: Body,
-    bounds: Bounds,
-    base_radius: [f64; L],
-    gravity: [f64; 3],
-    timestep: f64,
+    body: Body<L>,
+    bounds: Box<Bounds>,
+    shares: Box<Shares>,
+    gravity: [[f64; L]; 3],
     pub(crate) muscles: Vec<Muscles>,
     coordinates: Vec<Block>,
     rates: Vec<Block>,
-    lengths: Vec<[Row; 4]>,
+    lengths: Vec<Lengths>,
     /// The state that a step is heading for; becomes the state if it lies in the domain.
     next_coordinates: Vec<Block>,
     next_rates: Vec<Block>,
-    next_lengths: Vec<[Row; 4]>,
+    next_lengths: Vec<Lengths>,
     stage_coordinates: Vec<Block>,
     stage_rates: Vec<Block>,
     workspace: Workspace,
+    /// Whether the workspace holds the sines and cosines of the present state.
+    trigonometry_known: bool,
+}
+
+/// The time step, and its shares in the Runge–Kutta method.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Shares {
+    full: Row,
+    half: Row,
+    third: Row,
+    sixth: Row,
 }
 
 /// Vector instructions that a step may be compiled for. The bits are the same for all of them.
@@ -87,62 +98,86 @@ impl InstructionSet {
 
 /// `out = factor x + y`.
 #[inline(always)]
-fn axpy(factor: f64, x: &Block, y: &Block, out: &mut Block) {
+fn axpy(factor: &Row, x: &Block, y: &Block, out: &mut Block) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor.mul_add(x.0[row][k], y.0[row][k]);
+            out.0[row][k] = factor[k].mul_add(x.0[row][k], y.0[row][k]);
         }
     }
 }
 
 /// `out += factor x`.
 #[inline(always)]
-fn accumulate(factor: f64, x: &Block, out: &mut Block) {
+fn accumulate(factor: &Row, x: &Block, out: &mut Block) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor.mul_add(x.0[row][k], out.0[row][k]);
+            out.0[row][k] = factor[k].mul_add(x.0[row][k], out.0[row][k]);
+        }
+    }
+}
+
+/// Copies the slots of the given lanes.
+fn merge<const L: usize>(lanes: &[bool; L], from: &Row, to: &mut Row) {
+    for slot in 0..WIDTH {
+        if lanes[slot % L] {
+            to[slot] = from[slot];
         }
     }
 }
 
 impl<const L: usize> Engine<L> {
-    pub(crate) fn new(parameters: &ArmParameters) -> Self {
-        let n = parameters.compartments;
+    /// Arms at rest with every spring at its rest length.
+    ///
+    /// # Panics
+    /// If their numbers of compartments differ.
+    pub(crate) fn new(arms: &[&ArmParameters; L]) -> Self {
+        let n = arms[0].compartments;
+        assert!(arms.iter().all(|arm| arm.compartments == n), "lanes of one shape");
         let chunks = (n * L).div_ceil(WIDTH);
-        let mut rest = vec![
-            Rest {
-                radius: [parameters.tip_radius; WIDTH],
-                volume: [parameters.rest_volume(n - 1); WIDTH]
-            };
-            chunks
-        ];
-        let mut at_rest = Block::ZERO;
-        at_rest.0[0] = [parameters.rest_height(); WIDTH];
-        for row in &mut at_rest.0[3..] {
-            *row = [parameters.tip_radius; WIDTH];
+        // Slots beyond the tip hold a compartment like the last.
+        let compartment = |chunk: usize, slot: usize| ((chunk * WIDTH + slot) / L).min(n - 1);
+        let by_slot = |value: &dyn Fn(&ArmParameters, usize) -> f64, chunk: usize| -> Row {
+            std::array::from_fn(|slot| value(arms[slot % L], compartment(chunk, slot)))
+        };
+        let mut rest = Vec::with_capacity(chunks);
+        let mut at_rest = Vec::with_capacity(chunks);
+        for chunk in 0..chunks {
+            let radius = by_slot(&|arm, j| arm.rest_radius(j + 1), chunk);
+            rest.push(Rest { radius, volume: by_slot(&|arm, j| arm.rest_volume(j), chunk) });
+            let mut block = Block::ZERO;
+            block.0[0] = by_slot(&|arm, _| arm.rest_height(), chunk);
+            block.0[3..].fill(radius);
+            at_rest.push(block);
         }
-        for j in 0..n {
-            let (chunk, slot) = place::<L>(j);
-            rest[chunk].radius[slot..slot + L].fill(parameters.rest_radius(j + 1));
-            rest[chunk].volume[slot..slot + L].fill(parameters.rest_volume(j));
-        }
-        let workspace = Workspace::new(chunks);
+        let row = |value| lane_row::<L>(arms, value);
+        let mut base = Block::ZERO;
+        base.0[3..].fill(row(|arm| arm.base_radius));
         let mut engine = Self {
-            body: Body { compartments: n, material: Box::new(Material::new(parameters)), rest },
-            bounds: Bounds::new(parameters),
-            base_radius: [parameters.base_radius; L],
-            gravity: parameters.gravity,
-            timestep: parameters.timestep,
+            body: Body {
+                compartments: n,
+                base: Box::new(base),
+                material: Box::new(Material::new(arms)),
+                rest,
+            },
+            bounds: Box::new(Bounds::new(arms)),
+            shares: Box::new(Shares {
+                full: row(|arm| arm.timestep),
+                half: row(|arm| 0.5 * arm.timestep),
+                third: row(|arm| arm.timestep / 3.0),
+                sixth: row(|arm| arm.timestep / 6.0),
+            }),
+            gravity: [0, 1, 2].map(|axis| arms.map(|arm| arm.gravity[axis])),
             muscles: vec![Muscles::ZERO; chunks],
-            coordinates: vec![at_rest; chunks],
             rates: vec![Block::ZERO; chunks],
-            lengths: vec![[[0.0; WIDTH]; 4]; chunks],
-            next_coordinates: vec![at_rest; chunks],
+            lengths: vec![Lengths::ZERO; chunks],
+            next_coordinates: at_rest.clone(),
             next_rates: vec![Block::ZERO; chunks],
-            next_lengths: vec![[[0.0; WIDTH]; 4]; chunks],
-            stage_coordinates: vec![at_rest; chunks],
+            next_lengths: vec![Lengths::ZERO; chunks],
+            stage_coordinates: at_rest.clone(),
             stage_rates: vec![Block::ZERO; chunks],
-            workspace,
+            workspace: Workspace::new(chunks),
+            trigonometry_known: false,
+            coordinates: at_rest,
         };
         engine.refresh_lengths();
         engine
@@ -163,7 +198,7 @@ impl<const L: usize> Engine<L> {
     /// Length of spring `i` of compartment `j`.
     pub(crate) fn length(&self, lane: usize, j: usize, i: usize) -> f64 {
         let (chunk, slot) = place::<L>(j);
-        self.lengths[chunk][i][slot + lane]
+        self.lengths[chunk].0[i][slot + lane]
     }
 
     /// What [`Engine::coordinate`], [`Engine::rate`] and [`Engine::length`] would be after the step
@@ -178,7 +213,7 @@ impl<const L: usize> Engine<L> {
         (
             std::array::from_fn(|index| self.next_coordinates[chunk].0[index][k]),
             std::array::from_fn(|index| self.next_rates[chunk].0[index][k]),
-            std::array::from_fn(|index| self.next_lengths[chunk][index][k]),
+            std::array::from_fn(|index| self.next_lengths[chunk].0[index][k]),
         )
     }
 
@@ -189,6 +224,7 @@ impl<const L: usize> Engine<L> {
         coordinates: &[[f64; COORDINATES]],
         rates: &[[f64; COORDINATES]],
     ) {
+        self.trigonometry_known = false;
         for (j, (q, u)) in coordinates.iter().zip(rates).enumerate() {
             let (chunk, slot) = place::<L>(j);
             for index in 0..COORDINATES {
@@ -199,38 +235,37 @@ impl<const L: usize> Engine<L> {
     }
 
     pub(crate) fn refresh_lengths(&mut self) {
-        spring_lengths::<L>(
-            &self.body,
-            &self.base_radius,
-            &self.coordinates,
-            &self.rates,
-            &mut self.workspace,
-            &mut self.lengths,
-        );
+        for c in 0..self.coordinates.len() {
+            spring_lengths::<L>(
+                &self.body,
+                &self.coordinates,
+                &self.rates,
+                c,
+                &mut self.workspace,
+                &mut self.lengths[c],
+            );
+        }
+        self.trigonometry_known = true;
     }
 
-    /// The base's motion as its own frame sees it.
+    /// The bases' motion as their own frames see it.
     #[inline(always)]
-    fn base_frame(&self, motions: &[BaseMotion; L]) -> BaseFrame<L> {
-        let mut frame = BaseFrame {
-            omega: [[0.0; L]; 3],
-            psi: [[0.0; L]; 3],
-            gravity: [[0.0; L]; 3],
-            radius: self.base_radius,
-        };
-        for (lane, motion) in motions.iter().enumerate() {
-            let (sine_theta, cosine_theta) = sin_cos(motion.angle[0]);
-            let (s, c) = sin_cos(motion.angle[1]);
-            let [theta_rate, phi_rate] = motion.rate;
-            let [theta_acceleration, phi_acceleration] = motion.acceleration;
+    fn base_frame(&self, motion: &BaseRows<L>) -> BaseFrame<L> {
+        let mut frame =
+            BaseFrame { omega: [[0.0; L]; 3], psi: [[0.0; L]; 3], gravity: [[0.0; L]; 3] };
+        for lane in 0..L {
+            let (sine_theta, cosine_theta) = sin_cos(motion.angle[0][lane]);
+            let (s, c) = sin_cos(motion.angle[1][lane]);
+            let (theta_rate, phi_rate) = (motion.rate[0][lane], motion.rate[1][lane]);
+            let theta_acceleration = motion.acceleration[0][lane];
             // R_0 = R_x(θ) R_y(φ): ω = θ̇ R_yᵀ x + φ̇ y.
             frame.omega[0][lane] = c * theta_rate;
             frame.omega[1][lane] = phi_rate;
             frame.omega[2][lane] = s * theta_rate;
             frame.psi[0][lane] = c.mul_add(theta_acceleration, -(s * theta_rate * phi_rate));
-            frame.psi[1][lane] = phi_acceleration;
+            frame.psi[1][lane] = motion.acceleration[1][lane];
             frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
-            let [x, y, z] = self.gravity;
+            let (x, y, z) = (self.gravity[0][lane], self.gravity[1][lane], self.gravity[2][lane]);
             let (y, z) = (
                 cosine_theta.mul_add(y, sine_theta * z),
                 cosine_theta.mul_add(z, -(sine_theta * y)),
@@ -242,89 +277,139 @@ impl<const L: usize> Engine<L> {
         frame
     }
 
-    /// Evaluates the present state's accelerations into the workspace.
+    /// Accelerations of the present state, one block a chunk.
     #[inline(always)]
-    fn evaluate_inline(&mut self, motions: &[BaseMotion; L]) {
-        let frame = self.base_frame(motions);
-        evaluate::<L>(
-            &self.body,
-            &frame,
-            &self.coordinates,
-            &self.rates,
-            &self.muscles,
-            &mut self.workspace,
-        );
+    fn evaluate_inline(&mut self, motion: &BaseRows<L>) -> Vec<Block> {
+        let frame = self.base_frame(motion);
+        let Self { body, coordinates, rates, muscles, workspace, .. } = self;
+        let chunks = coordinates.len();
+        let mut travel = kinematics::Travel::from_base(&frame);
+        for first in (0..chunks).step_by(BLOCK) {
+            let block = first..chunks.min(first + BLOCK);
+            outward::<L>(body, &mut travel, coordinates, rates, block, false, workspace);
+        }
+        inward::<L>(body, coordinates, rates, muscles, workspace);
+        let mut travel = articulated::Travel::BASE;
+        let mut result = vec![Block::ZERO; chunks];
+        for (c, out) in result.iter_mut().enumerate() {
+            accelerations::<L>(body, &coordinates[c], c, &mut travel, workspace, out);
+        }
+        result
     }
 
-    /// One Runge–Kutta step; `motions` is the base at its start, middle and end. Returns whether the
-    /// new state lies in the domain; if not, the state is as it was before.
+    /// One Runge–Kutta step; `motions` is the bases at its start, middle and end. The new state goes
+    /// to the `next_` fields; returns which lanes of it lie in the domain.
     #[inline(always)]
-    fn advance_inline(&mut self, motions: &[[BaseMotion; L]; 3]) -> bool {
-        let [start, middle, end] = [
+    fn advance_inline(&mut self, motions: &[BaseRows<L>; 3]) -> [bool; L] {
+        // Not a closure in `map`: it would not be compiled for this instruction set.
+        let frames = [
             self.base_frame(&motions[0]),
             self.base_frame(&motions[1]),
             self.base_frame(&motions[2]),
         ];
-        let chunks = self.body.rest.len();
-        let dt = self.timestep;
-        let (half, sixth, third) = (0.5 * dt, dt / 6.0, dt / 3.0);
-        let Self { body, muscles, coordinates, rates, workspace, .. } = self;
+        let Self { body, muscles, coordinates, rates, workspace, shares, .. } = self;
         let (stage_q, stage_u) = (&mut self.stage_coordinates, &mut self.stage_rates);
         let (next_q, next_u) = (&mut self.next_coordinates, &mut self.next_rates);
-
-        evaluate::<L>(body, &start, coordinates, rates, muscles, workspace);
-        for c in 0..chunks {
-            let (q, u, a) = (&coordinates[c], &rates[c], &workspace.accelerations[c]);
-            axpy(sixth, u, q, &mut next_q[c]);
-            axpy(sixth, a, u, &mut next_u[c]);
-            axpy(half, u, q, &mut stage_q[c]);
-            axpy(half, a, u, &mut stage_u[c]);
-        }
-        for (frame, advance) in [(&middle, half), (&middle, dt)] {
-            evaluate::<L>(body, frame, stage_q, stage_u, muscles, workspace);
-            for c in 0..chunks {
-                let (q, u, a) = (&coordinates[c], &rates[c], &workspace.accelerations[c]);
-                accumulate(third, &stage_u[c], &mut next_q[c]);
-                accumulate(third, a, &mut next_u[c]);
-                axpy(advance, &stage_u[c], q, &mut stage_q[c]);
-                axpy(advance, a, u, &mut stage_u[c]);
+        let chunks = coordinates.len();
+        let mut outside = Lengths::ZERO;
+        let outside = &mut outside.0[0];
+        let mut a = Block::ZERO;
+        // The accelerations of a stage and the first part of the next both go from base to tip: a
+        // block of chunks at a time, one after the other, so that each fills the waits of the other.
+        // (And one loop for all stages, so that the code fits the instruction cache.)
+        for stage in 0..=4_usize {
+            let frame = &frames[stage.div_ceil(2).min(2)];
+            let mut before = articulated::Travel::BASE;
+            let mut travel = kinematics::Travel::from_base(frame);
+            for first in (0..chunks).step_by(BLOCK) {
+                let block = first..chunks.min(first + BLOCK);
+                for c in block.clone() {
+                    if stage == 0 {
+                        break;
+                    }
+                    let (q, u) = (&coordinates[c], &rates[c]);
+                    let shape = if stage == 1 { q } else { &stage_q[c] };
+                    accelerations::<L>(body, shape, c, &mut before, workspace, &mut a);
+                    let forward = if stage == 3 { &shares.full } else { &shares.half };
+                    match stage {
+                        1 => {
+                            axpy(&shares.sixth, u, q, &mut next_q[c]);
+                            axpy(&shares.sixth, &a, u, &mut next_u[c]);
+                            axpy(forward, u, q, &mut stage_q[c]);
+                            axpy(forward, &a, u, &mut stage_u[c]);
+                        }
+                        2 | 3 => {
+                            accumulate(&shares.third, &stage_u[c], &mut next_q[c]);
+                            accumulate(&shares.third, &a, &mut next_u[c]);
+                            axpy(forward, &stage_u[c], q, &mut stage_q[c]);
+                            axpy(forward, &a, u, &mut stage_u[c]);
+                        }
+                        _ => {
+                            accumulate(&shares.sixth, &stage_u[c], &mut next_q[c]);
+                            accumulate(&shares.sixth, &a, &mut next_u[c]);
+                            let lengths = &mut self.next_lengths[c];
+                            spring_lengths::<L>(body, next_q, next_u, c, workspace, lengths);
+                            mark_outside(
+                                &self.bounds,
+                                &next_q[c],
+                                &next_u[c],
+                                &body.rest[c].radius,
+                                lengths,
+                                outside,
+                            );
+                        }
+                    }
+                }
+                if stage < 4 {
+                    let known = stage == 0 && self.trigonometry_known;
+                    let (q, u) =
+                        if stage == 0 { (&*coordinates, &*rates) } else { (&*stage_q, &*stage_u) };
+                    outward::<L>(body, &mut travel, q, u, block, known, workspace);
+                }
+            }
+            if stage < 4 {
+                let (q, u) =
+                    if stage == 0 { (&*coordinates, &*rates) } else { (&*stage_q, &*stage_u) };
+                inward::<L>(body, q, u, muscles, workspace);
             }
         }
-        evaluate::<L>(body, &end, stage_q, stage_u, muscles, workspace);
-        for c in 0..chunks {
-            accumulate(sixth, &stage_u[c], &mut next_q[c]);
-            accumulate(sixth, &workspace.accelerations[c], &mut next_u[c]);
-        }
-
-        spring_lengths::<L>(
-            body,
-            &self.base_radius,
-            next_q,
-            next_u,
-            workspace,
-            &mut self.next_lengths,
-        );
-        let mut inside = true;
-        for c in 0..chunks {
-            inside &= chunk_is_inside(
-                &self.bounds,
-                &next_q[c],
-                &next_u[c],
-                &body.rest[c].radius,
-                &self.next_lengths[c],
-            );
-        }
-        if inside {
-            self.accept();
+        // They are the next state's now.
+        self.trigonometry_known = false;
+        let mut inside = [true; L];
+        for (slot, outside) in outside.iter().enumerate() {
+            inside[slot % L] &= *outside == 0.0;
         }
         inside
     }
 
-    /// Makes the state that the last step headed for the present one.
+    /// Makes the state that the last step headed for the present one in the given lanes; the others
+    /// keep theirs.
+    pub(crate) fn accept_lanes(&mut self, lanes: &[bool; L]) {
+        if lanes.iter().all(|lane| *lane) {
+            return self.accept();
+        }
+        let blocks = |next: &[Block], present: &mut [Block]| {
+            for (next, present) in next.iter().zip(present) {
+                for (next, present) in next.0.iter().zip(&mut present.0) {
+                    merge(lanes, next, present);
+                }
+            }
+        };
+        blocks(&self.next_coordinates, &mut self.coordinates);
+        blocks(&self.next_rates, &mut self.rates);
+        for (next, present) in self.next_lengths.iter().zip(&mut self.lengths) {
+            for (next, present) in next.0.iter().zip(&mut present.0) {
+                merge(lanes, next, present);
+            }
+        }
+    }
+
+    /// Makes the state that the last step headed for the present one, in every lane.
     pub(crate) fn accept(&mut self) {
         std::mem::swap(&mut self.coordinates, &mut self.next_coordinates);
         std::mem::swap(&mut self.rates, &mut self.next_rates);
         std::mem::swap(&mut self.lengths, &mut self.next_lengths);
+        self.trigonometry_known = true;
     }
 }
 
@@ -332,7 +417,7 @@ impl<const L: usize> Engine<L> {
 macro_rules! dispatched {
     ($($(#[$documentation:meta])* $name:ident => $inline:ident($motions:ty) -> $result:ty;)*) => {
         $(
-            impl Engine<1> {
+            impl<const L: usize> Engine<L> {
                 $(#[$documentation])*
                 #[allow(unsafe_code)]
                 pub(crate) fn $name(
@@ -342,12 +427,12 @@ macro_rules! dispatched {
                 ) -> $result {
                     #[cfg(target_arch = "x86_64")]
                     #[target_feature(enable = "avx2,fma,avx512f,avx512dq,avx512vl,avx512bw")]
-                    fn avx512(engine: &mut Engine<1>, motions: &$motions) -> $result {
+                    fn avx512<const L: usize>(engine: &mut Engine<L>, motions: &$motions) -> $result {
                         engine.$inline(motions)
                     }
                     #[cfg(target_arch = "x86_64")]
                     #[target_feature(enable = "avx2,fma")]
-                    fn avx2(engine: &mut Engine<1>, motions: &$motions) -> $result {
+                    fn avx2<const L: usize>(engine: &mut Engine<L>, motions: &$motions) -> $result {
                         engine.$inline(motions)
                     }
                     match instructions {
@@ -367,11 +452,11 @@ macro_rules! dispatched {
 }
 
 dispatched! {
-    /// One Runge–Kutta step; `motions` is the base at its start, middle and end. Returns whether the
-    /// new state lies in the domain; if not, the state is as it was before.
-    advance => advance_inline([[BaseMotion; 1]; 3]) -> bool;
-    /// Evaluates the present state's accelerations into the workspace.
-    evaluate => evaluate_inline([BaseMotion; 1]) -> ();
+    /// One Runge–Kutta step; `motions` is the bases at its start, middle and end. The new state waits
+    /// for [`Engine::accept`]; returns which lanes of it lie in the domain.
+    advance => advance_inline([BaseRows<L>; 3]) -> [bool; L];
+    /// Accelerations of the present state, one block a chunk.
+    evaluate => evaluate_inline(BaseRows<L>) -> Vec<Block>;
 }
 
 impl Engine<1> {
@@ -381,11 +466,11 @@ impl Engine<1> {
         instructions: InstructionSet,
         motion: &BaseMotion,
     ) -> Vec<[f64; COORDINATES]> {
-        self.evaluate(instructions, &[*motion]);
+        let blocks = self.evaluate(instructions, &motion.into());
         (0..self.body.compartments)
             .map(|j| {
                 let (chunk, slot) = place::<1>(j);
-                std::array::from_fn(|index| self.workspace.accelerations[chunk].0[index][slot])
+                std::array::from_fn(|index| blocks[chunk].0[index][slot])
             })
             .collect()
     }

@@ -100,7 +100,7 @@ pub(crate) fn static_equilibrium(
                 ..parameters.clone()
             };
             (shape, worst) =
-                solve(&mut Engine::new(&loaded), instructions, shape, &undeformed.rates);
+                solve(&mut Engine::new(&[&loaded]), instructions, shape, &undeformed.rates);
             if worst > AT_REST || worst.is_nan() {
                 break;
             }

@@ -7,11 +7,9 @@
 
 use std::f64::consts::FRAC_2_PI;
 
-/// `π/2` in three parts: with fused multiply-adds the reduced angle is exact to the last bit for
-/// every angle below some 10⁵ radians.
+/// `π/2` in two parts: with fused multiply-adds the reduced angle is off by less than 10⁻³² a quadrant.
 const HALF_PI_HIGH: f64 = f64::from_bits(0x3FF9_21FB_5444_2D18);
 const HALF_PI_MIDDLE: f64 = f64::from_bits(0x3C91_A626_3314_5C07);
-const HALF_PI_LOW: f64 = f64::from_bits(0xB91F_1976_B7ED_8FBC);
 /// 1.5 · 2⁵²: adding it leaves the nearest integer in the low bits of the significand.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
@@ -54,24 +52,19 @@ pub fn sin_cos(angle: f64) -> (f64, f64) {
     let turns = shifted - ROUND;
     let x = (-turns).mul_add(HALF_PI_HIGH, angle);
     let x = (-turns).mul_add(HALF_PI_MIDDLE, x);
-    let x = (-turns).mul_add(HALF_PI_LOW, x);
+    // Even and odd powers of z apart: two chains half as long.
     let z = x * x;
+    let w = z * z;
 
-    let s = SIN[0].mul_add(z, SIN[1]);
-    let s = s.mul_add(z, SIN[2]);
-    let s = s.mul_add(z, SIN[3]);
-    let s = s.mul_add(z, SIN[4]);
-    let s = s.mul_add(z, SIN[5]);
-    let sine = (z * x).mul_add(s, x);
+    let even = SIN[1].mul_add(w, SIN[3]).mul_add(w, SIN[5]);
+    let odd = SIN[0].mul_add(w, SIN[2]).mul_add(w, SIN[4]);
+    let sine = (z * x).mul_add(odd.mul_add(z, even), x);
 
-    let c = COS[0].mul_add(z, COS[1]);
-    let c = c.mul_add(z, COS[2]);
-    let c = c.mul_add(z, COS[3]);
-    let c = c.mul_add(z, COS[4]);
-    let c = c.mul_add(z, COS[5]);
+    let even = COS[1].mul_add(w, COS[3]).mul_add(w, COS[5]);
+    let odd = COS[0].mul_add(w, COS[2]).mul_add(w, COS[4]);
     let half = 0.5 * z;
     let near_one = 1.0 - half;
-    let cosine = near_one + (z * z).mul_add(c, (1.0 - near_one) - half);
+    let cosine = near_one + w.mul_add(odd.mul_add(z, even), (1.0 - near_one) - half);
 
     let swap = quadrant & 1 != 0;
     let (a, b) = if swap { (cosine, sine) } else { (sine, cosine) };
@@ -84,18 +77,19 @@ pub fn sin_cos(angle: f64) -> (f64, f64) {
 #[inline(always)]
 #[must_use]
 pub fn atan_small(x: f64) -> f64 {
+    // Even and odd powers of z apart: two chains half as long.
     let z = x * x;
-    let p = ATAN[0].mul_add(z, ATAN[1]);
-    let p = p.mul_add(z, ATAN[2]);
-    let p = p.mul_add(z, ATAN[3]);
-    let p = p.mul_add(z, ATAN[4]);
-    let p = p.mul_add(z, ATAN[5]);
-    let p = p.mul_add(z, ATAN[6]);
-    let p = p.mul_add(z, ATAN[7]);
-    let p = p.mul_add(z, ATAN[8]);
-    let p = p.mul_add(z, ATAN[9]);
-    let p = p.mul_add(z, ATAN[10]);
-    (-(x * z)).mul_add(p, x)
+    let w = z * z;
+    let even = ATAN[0].mul_add(w, ATAN[2]);
+    let even = even.mul_add(w, ATAN[4]);
+    let even = even.mul_add(w, ATAN[6]);
+    let even = even.mul_add(w, ATAN[8]);
+    let even = even.mul_add(w, ATAN[10]);
+    let odd = ATAN[1].mul_add(w, ATAN[3]);
+    let odd = odd.mul_add(w, ATAN[5]);
+    let odd = odd.mul_add(w, ATAN[7]);
+    let odd = odd.mul_add(w, ATAN[9]);
+    (-(x * z)).mul_add(odd.mul_add(z, even), x)
 }
 
 /// `exp(-x)` for `x >= 0`: Taylor's series on a halved argument, squared back.

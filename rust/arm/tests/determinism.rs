@@ -196,10 +196,10 @@ fn every_instruction_set_gives_the_same_bits() {
 /// muscles. Every open parameter is written out, so that a recalibration of the defaults does not
 /// change them.
 const LENGTHS: [(usize, u64); 3] =
-    [(0, 0x3f91_7016_4b0a_b6bb), (41, 0x3f95_b1f3_7d3c_8cd5), (79, 0x3f94_8c78_65fa_43f9)];
+    [(0, 0x3f91_7016_4b0a_b6b4), (41, 0x3f95_b1f3_7d3c_8ccf), (79, 0x3f94_8c78_65fa_43fa)];
 /// FNV-1a over the bits of all 80 lengths after each of the 1,000 steps: the arm forgets, so that a
 /// last bit that differed early need not show at the end.
-const ALL_LENGTHS: u64 = 0x1e46_f9bf_9a0f_4062;
+const ALL_LENGTHS: u64 = 0xb65f_8848_2c6f_9ac9;
 
 /// They may change when the arithmetic is changed on purpose (another order of summation, another
 /// polynomial). Then check the new kernel against the reference, take the numbers from the failure

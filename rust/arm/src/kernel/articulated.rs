@@ -6,10 +6,10 @@
 //! a joint out leaves zeros in its row and column; only what can differ from zero is kept: 15 numbers
 //! from plane to plane (J 6, H 3×2, M 3) and five of bias.
 
+use std::ops::Range;
+
 use super::plane::Plane;
-use super::trigonometry::Angles;
-use super::water::External;
-use super::{Block, Material, Row, WIDTH, place};
+use super::{Block, Link, Material, Row, WIDTH};
 
 /// What the outward sweep needs of each joint, divided by the joint's inertia.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,8 @@ impl Joints {
 }
 
 /// The articulated inertia and bias that a plane receives from all beyond it, one value a lane.
-struct Carried<const L: usize> {
+#[repr(C, align(64))]
+pub(crate) struct Carried<const L: usize> {
     j_xx: [f64; L],
     j_xy: [f64; L],
     j_xz: [f64; L],
@@ -49,42 +50,43 @@ struct Carried<const L: usize> {
     force: [[f64; L]; 2],
 }
 
-/// Tip to base: projects every joint out of the inertia beyond it.
+impl<const L: usize> Carried<L> {
+    /// Nothing is beyond the tip.
+    pub(crate) const TIP: Self = Self {
+        j_xx: [0.0; L],
+        j_xy: [0.0; L],
+        j_xz: [0.0; L],
+        j_yy: [0.0; L],
+        j_yz: [0.0; L],
+        j_zz: [0.0; L],
+        h_xx: [0.0; L],
+        h_xy: [0.0; L],
+        h_yx: [0.0; L],
+        h_yy: [0.0; L],
+        h_zx: [0.0; L],
+        h_zy: [0.0; L],
+        m_xx: [0.0; L],
+        m_xy: [0.0; L],
+        m_yy: [0.0; L],
+        torque: [[0.0; L]; 3],
+        force: [[0.0; L]; 2],
+    };
+}
+
+/// Tip to base: projects every joint of a chunk out of the inertia beyond it.
 #[inline(always)]
 pub(crate) fn inward<const L: usize>(
-    compartments: usize,
+    slots: Range<usize>,
+    carried: &mut Carried<L>,
     material: &Material,
-    coordinates: &[Block],
-    angles: &[Angles],
-    external: &[External],
-    planes: &[Plane],
-    joints: &mut [Joints],
+    coordinates: &Block,
+    plane: &Plane,
+    link: &mut Link,
 ) {
-    let zero = [0.0; L];
-    let mut carried = Carried {
-        j_xx: zero,
-        j_xy: zero,
-        j_xz: zero,
-        j_yy: zero,
-        j_yz: zero,
-        j_zz: zero,
-        h_xx: zero,
-        h_xy: zero,
-        h_yx: zero,
-        h_yy: zero,
-        h_zx: zero,
-        h_zy: zero,
-        m_xx: zero,
-        m_xy: zero,
-        m_yy: zero,
-        torque: [zero; 3],
-        force: [zero; 2],
-    };
-    for j in (0..compartments).rev() {
-        let (chunk, slot) = place::<L>(j);
-        let (q, trig) = (&coordinates[chunk].0, &angles[chunk]);
-        let (pull, plane) = (&external[chunk].force, &planes[chunk]);
-        let out = &mut joints[chunk];
+    let q = &coordinates.0;
+    let Link { angles: trig, external, joints: out, .. } = link;
+    let pull = &external.force;
+    for slot in slots.step_by(L).rev() {
         for lane in 0..L {
             let k = slot + lane;
             let (jx, jy) = (plane.inertia[0][k], plane.inertia[1][k]);
@@ -94,22 +96,50 @@ pub(crate) fn inward<const L: usize>(
 
             // The plane itself, on what its child hands down.
             let j_xx = carried.j_xx[lane] + jx;
-            let j_xy = carried.j_xy[lane];
-            let j_xz = carried.j_xz[lane];
+            let (j_xy, j_xz) = (carried.j_xy[lane], carried.j_xz[lane]);
             let j_yy = carried.j_yy[lane] + jy;
             let j_yz = carried.j_yz[lane];
             let j_zz = carried.j_zz[lane] + (jx + jy);
-            let (h_xx, h_xy, h_xz) = (carried.h_xx[lane], carried.h_xy[lane], sy);
-            let (h_yx, h_yy, h_yz) = (carried.h_yx[lane], carried.h_yy[lane], -sx);
-            let (h_zx, h_zy) = (carried.h_zx[lane] - sy, carried.h_zy[lane] + sx);
-            let (m_xx, m_xy, m_yy) =
-                (carried.m_xx[lane] + mass, carried.m_xy[lane], carried.m_yy[lane] + mass);
+            let (h_xx, h_xy) = (carried.h_xx[lane], carried.h_xy[lane]);
+            let (h_yx, h_yy) = (carried.h_yx[lane], carried.h_yy[lane]);
+            let (h_zx, h_zy) = (carried.h_zx[lane], carried.h_zy[lane]);
+            let m_xx = carried.m_xx[lane] + mass;
+            let (m_xy, m_yy) = (carried.m_xy[lane], carried.m_yy[lane] + mass);
             let n_x = carried.torque[0][lane] + plane.torque[0][k];
             let n_y = carried.torque[1][lane] + plane.torque[1][k];
             let n_z = carried.torque[2][lane] + plane.torque[2][k];
             let f_x = carried.force[0][lane] + plane.force[0][k];
             let f_y = carried.force[1][lane] + plane.force[1][k];
             let f_z = plane.force[2][k];
+
+            // Into the frame between the joints, in which both are about an axis:
+            // (x, z) → (c x + s z, c z − s x). Of a symmetric pair xx, zz with xz only the difference
+            // turns: xx + s w, zz − s w, xz + s v with w = s (zz − xx) + 2 c xz and
+            // v = c (zz − xx) − 2 s xz.
+            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
+            let difference = j_zz - j_xx;
+            let w = s.mul_add(difference, (c + c) * j_xz);
+            let v = c.mul_add(difference, -((s + s) * j_xz));
+            let j_xx = s.mul_add(w, j_xx);
+            let j_zz = (-s).mul_add(w, j_zz);
+            let j_xz = s.mul_add(v, j_xz);
+            let (j_xy, j_yz) = (c.mul_add(j_xy, s * j_yz), c.mul_add(j_yz, -(s * j_xy)));
+            // What the child hands down has no column z; the plane's own part is the cross product
+            // with its first moment, which turns to (c s_x, s_y, −s s_x).
+            let (turned_x, turned_z) = (c * sx, s * sx);
+            let (a, b) = (c.mul_add(h_xx, s * h_zx), c.mul_add(h_zx, -(s * h_xx)));
+            let (h_xx, h_xz) = (c * a, (-s).mul_add(a, sy));
+            let (h_zx, h_zz) = (c.mul_add(b, -sy), -(s * b));
+            let (h_xy, h_zy) = (
+                c.mul_add(h_xy, s.mul_add(h_zy, turned_z)),
+                c.mul_add(h_zy, (-s).mul_add(h_xy, turned_x)),
+            );
+            let (h_yx, h_yz) = (c.mul_add(h_yx, -turned_z), -(s.mul_add(h_yx, turned_x)));
+            let d = s * (mass_z - m_xx);
+            let (m_xx, m_xz, m_zz) = (s.mul_add(d, m_xx), c * d, (-s).mul_add(d, mass_z));
+            let (m_xy, m_yz) = (c * m_xy, -(s * m_xy));
+            let (n_x, n_z) = (c.mul_add(n_x, s * n_z), c.mul_add(n_z, -(s * n_x)));
+            let (f_x, f_z) = (c.mul_add(f_x, s * f_z), c.mul_add(f_z, -(s * f_x)));
 
             // Joint about y.
             let inverse = 1.0 / j_yy;
@@ -129,43 +159,18 @@ pub(crate) fn inward<const L: usize>(
             let h_xz = (-tx).mul_add(h_yz, h_xz);
             let h_zx = (-tz).mul_add(h_yx, h_zx);
             let h_zy = (-tz).mul_add(h_yy, h_zy);
-            let h_zz = -(tz * h_yz);
+            let h_zz = (-tz).mul_add(h_yz, h_zz);
             let m_xx = (-ux).mul_add(h_yx, m_xx);
             let m_xy = (-ux).mul_add(h_yy, m_xy);
-            let m_xz = -(ux * h_yz);
+            let m_xz = (-ux).mul_add(h_yz, m_xz);
             let m_yy = (-uy).mul_add(h_yy, m_yy);
-            let m_yz = -(uy * h_yz);
-            let m_zz = (-uz).mul_add(h_yz, mass_z);
+            let m_yz = (-uy).mul_add(h_yz, m_yz);
+            let m_zz = (-uz).mul_add(h_yz, m_zz);
             let n_x = (-tx).mul_add(n_y, n_x);
             let n_z = (-tz).mul_add(n_y, n_z);
             let f_x = (-ux).mul_add(n_y, f_x);
             let f_y = (-uy).mul_add(n_y, f_y);
             let f_z = (-uz).mul_add(n_y, f_z);
-
-            // Into the frame between the joints: (x, z) → (c x + s z, c z − s x).
-            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
-            let a = c.mul_add(j_xx, s * j_xz);
-            let b = c.mul_add(j_xz, s * j_zz);
-            let d = c.mul_add(j_xz, -(s * j_xx));
-            let e = c.mul_add(j_zz, -(s * j_xz));
-            let j_xx = c.mul_add(a, s * b);
-            let j_xz = c.mul_add(b, -(s * a));
-            let j_zz = c.mul_add(e, -(s * d));
-            let (a, b) = (c.mul_add(h_xx, s * h_xz), c.mul_add(h_xz, -(s * h_xx)));
-            let (d, e) = (c.mul_add(h_zx, s * h_zz), c.mul_add(h_zz, -(s * h_zx)));
-            let (h_xx, h_zx) = (c.mul_add(a, s * d), c.mul_add(d, -(s * a)));
-            let (h_xz, h_zz) = (c.mul_add(b, s * e), c.mul_add(e, -(s * b)));
-            let (h_xy, h_zy) = (c.mul_add(h_xy, s * h_zy), c.mul_add(h_zy, -(s * h_xy)));
-            let a = c.mul_add(m_xx, s * m_xz);
-            let b = c.mul_add(m_xz, s * m_zz);
-            let d = c.mul_add(m_xz, -(s * m_xx));
-            let e = c.mul_add(m_zz, -(s * m_xz));
-            let m_xx = c.mul_add(a, s * b);
-            let m_xz = c.mul_add(b, -(s * a));
-            let m_zz = c.mul_add(e, -(s * d));
-            let (m_xy, m_yz) = (c.mul_add(m_xy, s * m_yz), c.mul_add(m_yz, -(s * m_xy)));
-            let (n_x, n_z) = (c.mul_add(n_x, s * n_z), c.mul_add(n_z, -(s * n_x)));
-            let (f_x, f_z) = (c.mul_add(f_x, s * f_z), c.mul_add(f_z, -(s * f_x)));
 
             // Joint about x. After it only torques about z remain.
             let inverse = 1.0 / j_xx;
@@ -196,13 +201,12 @@ pub(crate) fn inward<const L: usize>(
             let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
             let k_x = h_zx;
             let (k_y, k_z) = (c.mul_add(h_zy, -(s * h_zz)), c.mul_add(h_zz, s * h_zy));
-            let a = c.mul_add(m_yy, -(s * m_yz));
-            let b = c.mul_add(m_yz, -(s * m_zz));
-            let d = c.mul_add(m_yz, s * m_yy);
-            let e = c.mul_add(m_zz, s * m_yz);
-            let m_yy = c.mul_add(a, -(s * b));
-            let m_yz = c.mul_add(b, s * a);
-            let m_zz = c.mul_add(e, s * d);
+            let difference = m_zz - m_yy;
+            let w = s.mul_add(difference, -((c + c) * m_yz));
+            let v = c.mul_add(difference, (s + s) * m_yz);
+            let m_yy = s.mul_add(w, m_yy);
+            let m_zz = (-s).mul_add(w, m_zz);
+            let m_yz = (-s).mul_add(v, m_yz);
             let (m_xy, m_xz) = (c.mul_add(m_xy, -(s * m_xz)), c.mul_add(m_xz, s * m_xy));
             let (f_y, f_z) = (c.mul_add(f_y, -(s * f_z)), c.mul_add(f_z, s * f_y));
             let (f_x, f_y, f_z) = (f_x - pull[0][k], f_y - pull[1][k], f_z - pull[2][k]);
@@ -228,15 +232,16 @@ pub(crate) fn inward<const L: usize>(
             // Down the strut to the floor's centre: a → a + ψ × h z.
             let h = q[0][k];
             let (sj, cj) = (s * j, c * j);
+            let leaned = s * k_x;
             let h_xx = -(h * m_xy);
             let h_xy = -(h * m_yy);
-            let h_yx = h.mul_add(m_xx, -(s * k_x));
+            let h_yx = h.mul_add(m_xx, -leaned);
             let h_yy = h.mul_add(m_xy, -(s * k_y));
             let (h_zx, h_zy) = (c * k_x, c * k_y);
             carried.j_xx[lane] = -(h * h_xy);
             carried.j_xy[lane] = -(h * h_yy);
             carried.j_xz[lane] = -(h * h_zy);
-            carried.j_yy[lane] = s.mul_add(sj, h * (-s).mul_add(k_x, h_yx));
+            carried.j_yy[lane] = h.mul_add(h_yx - leaned, s * sj);
             carried.j_yz[lane] = h.mul_add(h_zx, -(s * cj));
             carried.j_zz[lane] = c * cj;
             carried.h_xx[lane] = h_xx;
@@ -257,23 +262,31 @@ pub(crate) fn inward<const L: usize>(
     }
 }
 
-/// Base to tip: the accelerations of all coordinates.
+/// Acceleration, beyond that with q̈ = 0, of the plane that the outward sweep has reached.
+#[repr(C, align(64))]
+pub(crate) struct Travel<const L: usize> {
+    psi: [[f64; L]; 3],
+    linear: [[f64; L]; 3],
+}
+
+impl<const L: usize> Travel<L> {
+    pub(crate) const BASE: Self = Self { psi: [[0.0; L]; 3], linear: [[0.0; L]; 3] };
+}
+
+/// Base to tip: the accelerations of a chunk's coordinates.
 #[inline(always)]
 pub(crate) fn outward<const L: usize>(
-    compartments: usize,
-    coordinates: &[Block],
-    angles: &[Angles],
-    planes: &[Plane],
-    joints: &[Joints],
-    accelerations: &mut [Block],
+    slots: Range<usize>,
+    travel: &mut Travel<L>,
+    coordinates: &Block,
+    link: &Link,
+    accelerations: &mut Block,
 ) {
-    let mut psi = [[0.0; L]; 3];
-    let mut linear = [[0.0; L]; 3];
-    for j in 0..compartments {
-        let (chunk, slot) = place::<L>(j);
-        let (q, trig) = (&coordinates[chunk].0, &angles[chunk]);
-        let (plane, joint) = (&planes[chunk], &joints[chunk]);
-        let out = &mut accelerations[chunk].0;
+    let q = &coordinates.0;
+    let Link { angles: trig, radial, joints: joint, .. } = link;
+    let Travel { psi, linear } = travel;
+    let out = &mut accelerations.0;
+    for slot in slots.step_by(L) {
         for lane in 0..L {
             let k = slot + lane;
             let h = q[0][k];
@@ -282,7 +295,8 @@ pub(crate) fn outward<const L: usize>(
             let a_y = (-h).mul_add(p_x, linear[1][lane]);
             let before = linear[2][lane];
 
-            // About x the torque axis e is the frame's z.
+            // About x the torque axis e is the frame's z. In every sum the summand that is known
+            // last is added last.
             let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
             let (p_y, p_z) = (c.mul_add(p_y, s * p_z), c.mul_add(p_z, -(s * p_y)));
             let slide = &joint.slide;
@@ -292,7 +306,7 @@ pub(crate) fn outward<const L: usize>(
             );
             out[0][k] = a_z - before;
 
-            let (a_y, a_z) = (c.mul_add(a_y, s * a_z), c.mul_add(a_z, -(s * a_y)));
+            let (a_y, a_z) = (s.mul_add(a_z, c * a_y), c.mul_add(a_z, -(s * a_y)));
             let x = &joint.about_x;
             let turned = (-x[4][k]).mul_add(
                 a_z,
@@ -301,24 +315,25 @@ pub(crate) fn outward<const L: usize>(
             out[1][k] = turned - p_x;
             let p_x = turned;
 
-            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
-            let (p_x, p_z) = (c.mul_add(p_x, -(s * p_z)), c.mul_add(p_z, s * p_x));
-            let (a_x, a_z) = (c.mul_add(a_x, -(s * a_z)), c.mul_add(a_z, s * a_x));
             let y = &joint.about_y;
-            let turned = (-y[5][k]).mul_add(
-                a_z,
-                (-y[4][k]).mul_add(
-                    a_y,
-                    (-y[3][k])
-                        .mul_add(a_x, (-y[2][k]).mul_add(p_z, (-y[1][k]).mul_add(p_x, -y[0][k]))),
+            let turned = (-y[1][k]).mul_add(
+                p_x,
+                (-y[5][k]).mul_add(
+                    a_z,
+                    (-y[4][k])
+                        .mul_add(a_y, (-y[3][k]).mul_add(a_x, (-y[2][k]).mul_add(p_z, -y[0][k]))),
                 ),
             );
             out[2][k] = turned - p_y;
 
-            out[3][k] = plane.radial[0][k] - a_x;
-            out[4][k] = plane.radial[1][k] - a_y;
-            out[5][k] = plane.radial[2][k] + a_x;
-            out[6][k] = plane.radial[3][k] + a_y;
+            let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
+            let (p_x, p_z) = (c.mul_add(p_x, -(s * p_z)), s.mul_add(p_x, c * p_z));
+            let (a_x, a_z) = ((-s).mul_add(a_z, c * a_x), c.mul_add(a_z, s * a_x));
+
+            out[3][k] = radial[0][k] - a_x;
+            out[4][k] = radial[1][k] - a_y;
+            out[5][k] = radial[2][k] + a_x;
+            out[6][k] = radial[3][k] + a_y;
             psi[0][lane] = p_x;
             psi[1][lane] = turned;
             psi[2][lane] = p_z;

@@ -4,33 +4,40 @@
 //! acceleration, centrifugal and Coriolis terms) leaves the articulated-body recursion without bias
 //! accelerations. All are accelerations of points, in the classical sense.
 
-use super::trigonometry::Angles;
-use super::{BaseFrame, Block, Row, WIDTH, place};
+use std::ops::Range;
 
-/// Motion of a compartment's ceiling plane with q̈ = 0.
+use super::trigonometry::Angles;
+use super::{BaseFrame, Block, Row, WIDTH};
+
+/// Motion of a compartment's ceiling plane with q̈ = 0, in the plane's frame.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Motion {
-    /// Angular velocity, plane's frame.
+    /// Angular velocity.
     pub(crate) omega: [Row; 3],
-    /// Angular acceleration, plane's frame.
+    /// Angular acceleration.
     pub(crate) psi: [Row; 3],
-    /// Acceleration of the centre, plane's frame.
+    /// Acceleration of the centre.
     pub(crate) acceleration: [Row; 3],
-    /// Velocity of the centre, in the frame of the compartment's floor (whose z is the strut).
-    pub(crate) velocity: [Row; 3],
-    /// Gravity, in the frame of the compartment's floor.
-    pub(crate) gravity: [Row; 3],
 }
 
 impl Motion {
-    pub(crate) const ZERO: Self = Self {
-        omega: [[0.0; WIDTH]; 3],
-        psi: [[0.0; WIDTH]; 3],
-        acceleration: [[0.0; WIDTH]; 3],
-        velocity: [[0.0; WIDTH]; 3],
-        gravity: [[0.0; WIDTH]; 3],
-    };
+    pub(crate) const ZERO: Self =
+        Self { omega: [[0.0; WIDTH]; 3], psi: [[0.0; WIDTH]; 3], acceleration: [[0.0; WIDTH]; 3] };
+}
+
+/// What the water needs, in the frame of the compartment's floor (whose z is the strut).
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Flow {
+    /// Velocity of the ceiling's centre.
+    pub(crate) velocity: [Row; 3],
+    /// Gravity.
+    pub(crate) gravity: [Row; 3],
+}
+
+impl Flow {
+    pub(crate) const ZERO: Self = Self { velocity: [[0.0; WIDTH]; 3], gravity: [[0.0; WIDTH]; 3] };
 }
 
 /// `R_x(α)ᵀ` on a vector.
@@ -45,24 +52,43 @@ fn turn_y(v: [f64; 3], sine: f64, cosine: f64) -> [f64; 3] {
     [cosine.mul_add(v[0], -(sine * v[2])), v[1], cosine.mul_add(v[2], sine * v[0])]
 }
 
+/// Motion of the plane that the sweep has reached, in that plane's frame, one value a lane.
+#[repr(C, align(64))]
+pub(crate) struct Travel<const L: usize> {
+    omega: [[f64; L]; 3],
+    psi: [[f64; L]; 3],
+    gravity: [[f64; L]; 3],
+    velocity: [[f64; L]; 3],
+    acceleration: [[f64; L]; 3],
+}
+
+impl<const L: usize> Travel<L> {
+    #[inline(always)]
+    pub(crate) fn from_base(base: &BaseFrame<L>) -> Self {
+        Self {
+            omega: base.omega,
+            psi: base.psi,
+            gravity: base.gravity,
+            velocity: [[0.0; L]; 3],
+            acceleration: [[0.0; L]; 3],
+        }
+    }
+}
+
+/// Through the compartments of a chunk whose slots are `slots`.
 #[inline(always)]
 pub(crate) fn outward<const L: usize>(
-    compartments: usize,
-    base: &BaseFrame<L>,
-    coordinates: &[Block],
-    rates: &[Block],
-    angles: &[Angles],
-    motions: &mut [Motion],
+    slots: Range<usize>,
+    travel: &mut Travel<L>,
+    coordinates: &Block,
+    rates: &Block,
+    trig: &Angles,
+    out: &mut Motion,
+    flow: &mut Flow,
 ) {
-    let mut omega = base.omega;
-    let mut psi = base.psi;
-    let mut gravity = base.gravity;
-    let mut velocity = [[0.0; L]; 3];
-    let mut acceleration = [[0.0; L]; 3];
-    for j in 0..compartments {
-        let (chunk, slot) = place::<L>(j);
-        let (q, u, trig) = (&coordinates[chunk].0, &rates[chunk].0, &angles[chunk]);
-        let out = &mut motions[chunk];
+    let (q, u) = (&coordinates.0, &rates.0);
+    let Travel { omega, psi, gravity, velocity, acceleration } = travel;
+    for slot in slots.step_by(L) {
         for lane in 0..L {
             let k = slot + lane;
             let (h, h_rate, a_rate, b_rate) = (q[0][k], u[0][k], u[1][k], u[2][k]);
@@ -81,8 +107,8 @@ pub(crate) fn outward<const L: usize>(
                 (-h).mul_add(w[0].mul_add(w[0], w[1] * w[1]), a[2]),
             ];
             for axis in 0..3 {
-                out.velocity[axis][k] = v[axis];
-                out.gravity[axis][k] = g[axis];
+                flow.velocity[axis][k] = v[axis];
+                flow.gravity[axis][k] = g[axis];
             }
 
             // About x, then about y: ω + rate e, ψ + ω × rate e.

@@ -5,15 +5,15 @@
 //! joint's inertia is a number and a change of frame a plane rotation. The work is split into passes,
 //! each a straight line of arithmetic without data-dependent branches:
 //!
-//! | pass | runs | gives |
-//! |---|---|---|
-//! | [`trigonometry`] | every compartment by itself | sines and cosines of α, β |
-//! | [`kinematics`] | base to tip | velocities, and accelerations that would arise with q̈ = 0 |
-//! | [`water`] | by itself | gravity, buoyancy, drag, lift (Eqs. 9–15), volume |
-//! | [`springs`] | by itself | spring and volume forces (Eqs. 1–4, 7–8) |
-//! | [`plane`] | by itself | inertia and bias of a plane with its four joint masses (Eqs. 5–6) |
-//! | [`articulated::inward`] | tip to base | articulated-body inertias |
-//! | [`articulated::outward`] | base to tip | the accelerations q̈ |
+//! | part | pass | runs | gives |
+//! |---|---|---|---|
+//! | [`outward`] | [`trigonometry`] | every compartment by itself | sines and cosines of α, β |
+//! | | [`kinematics`] | base to tip | velocities, and accelerations that would arise with q̈ = 0 |
+//! | | [`water`] | by itself | gravity, buoyancy, drag, lift (Eqs. 9–15), volume |
+//! | [`inward`] | [`springs`] | by itself | spring and volume forces (Eqs. 1–4, 7–8) |
+//! | | [`plane`] | by itself | inertia and bias of a plane with its four joint masses (Eqs. 5–6) |
+//! | | [`articulated::inward`] | tip to base | articulated-body inertias |
+//! | [`accelerations`] | [`articulated::outward`] | base to tip | the accelerations q̈ |
 //!
 //! # Layout
 //! Quantities are kept in rows of [`WIDTH`] slots. Slot `j · L + lane` of a body with `L` lanes holds
@@ -21,10 +21,19 @@
 //! arm, with `L = WIDTH` one compartment of eight arms. Passes that treat compartments by themselves
 //! do not see the difference; the three that walk along the arm are generic over `L`.
 //!
+//! # Order
+//! What bounds the speed is not the number of operations but the waits in chains of dependent ones.
+//! So passes that are one long chain are interleaved with work that is independent of them: the
+//! inward sweep of a chunk with the springs of the next, the accelerations of a Runge–Kutta stage with
+//! the velocities and water of the next stage, a few chunks at a time ([`BLOCK`]). The order of the
+//! passes changes no bits. All that is written and read again is aligned to a cache line.
+//!
 //! # Bits
 //! Fused multiply-adds are written out (the compiler contracts nothing by itself) and no function of
 //! the platform's mathematical library is called, so the result is the same to the bit on every
 //! machine and for every instruction set.
+
+use std::ops::Range;
 
 pub(crate) mod articulated;
 pub(crate) mod kinematics;
@@ -49,6 +58,13 @@ pub(crate) struct Block(pub(crate) [Row; COORDINATES]);
 
 impl Block {
     pub(crate) const ZERO: Self = Self([[0.0; WIDTH]; COORDINATES]);
+
+    /// The four radii, or their rates.
+    #[inline(always)]
+    fn radii(&self) -> &[Row; 4] {
+        let [_, _, _, radii @ ..] = &self.0;
+        radii
+    }
 }
 
 /// Parameters that are the same for every compartment of an arm, one row each.
@@ -80,36 +96,53 @@ pub(crate) struct Material {
 }
 
 impl Material {
-    pub(crate) fn new(parameters: &ArmParameters) -> Self {
-        let row = |value: f64| [value; WIDTH];
-        let shape = match parameters.reference_area {
-            ReferenceArea::Wetted => std::f64::consts::PI,
-            ReferenceArea::Planform => 1.0,
-        };
-        let total = match parameters.volume_force {
-            VolumeForce::Applied => 0.0,
-            VolumeForce::Total => 1.0,
+    /// The rows of `L` arms: slot `k` belongs to arm `k % L`.
+    pub(crate) fn new<const L: usize>(arms: &[&ArmParameters; L]) -> Self {
+        let row = |value: fn(&ArmParameters) -> f64| lane_row::<L>(arms, value);
+        let coefficients = |values: fn(&ArmParameters) -> &[f64; 5]| {
+            std::array::from_fn(|term| std::array::from_fn(|slot| values(arms[slot % L])[term]))
         };
         Self {
-            rest_length: row(parameters.rest_length),
-            longitudinal_stiffness: row(parameters.longitudinal_stiffness),
-            longitudinal_damping: row(parameters.longitudinal_damping),
-            transverse_stiffness: row(parameters.transverse_stiffness),
-            transverse_damping: row(parameters.transverse_damping),
-            longitudinal_volume_gain: row(parameters.longitudinal_volume_gain),
-            transverse_volume_gain: row(parameters.transverse_volume_gain),
-            total: row(total),
-            applied: row(1.0 - total),
-            joint_mass: row(parameters.joint_mass()),
-            inverse_joint_mass: row(1.0 / parameters.joint_mass()),
-            plane_mass: row(parameters.plane_mass),
-            plane_inertia: row(parameters.plane_inertia),
-            net_density: row(parameters.arm_density - parameters.water_density),
-            pressure_area: row(0.5 * parameters.water_density * parameters.area_scale * shape),
-            lift_scale: row(parameters.lift_scale),
-            drag_coefficients: parameters.drag_coefficients.map(row),
-            lift_coefficients: parameters.lift_coefficients.map(row),
+            rest_length: row(|arm| arm.rest_length),
+            longitudinal_stiffness: row(|arm| arm.longitudinal_stiffness),
+            longitudinal_damping: row(|arm| arm.longitudinal_damping),
+            transverse_stiffness: row(|arm| arm.transverse_stiffness),
+            transverse_damping: row(|arm| arm.transverse_damping),
+            longitudinal_volume_gain: row(|arm| arm.longitudinal_volume_gain),
+            transverse_volume_gain: row(|arm| arm.transverse_volume_gain),
+            total: row(total_share),
+            applied: row(|arm| 1.0 - total_share(arm)),
+            joint_mass: row(ArmParameters::joint_mass),
+            inverse_joint_mass: row(|arm| 1.0 / arm.joint_mass()),
+            plane_mass: row(|arm| arm.plane_mass),
+            plane_inertia: row(|arm| arm.plane_inertia),
+            net_density: row(|arm| arm.arm_density - arm.water_density),
+            pressure_area: row(|arm| {
+                let shape = match arm.reference_area {
+                    ReferenceArea::Wetted => std::f64::consts::PI,
+                    ReferenceArea::Planform => 1.0,
+                };
+                0.5 * arm.water_density * arm.area_scale * shape
+            }),
+            lift_scale: row(|arm| arm.lift_scale),
+            drag_coefficients: coefficients(|arm| &arm.drag_coefficients),
+            lift_coefficients: coefficients(|arm| &arm.lift_coefficients),
         }
+    }
+}
+
+/// A parameter of `L` arms as a row: slot `k` belongs to arm `k % L`.
+pub(crate) fn lane_row<const L: usize>(
+    arms: &[&ArmParameters; L],
+    value: fn(&ArmParameters) -> f64,
+) -> Row {
+    std::array::from_fn(|slot| value(arms[slot % L]))
+}
+
+fn total_share(parameters: &ArmParameters) -> f64 {
+    match parameters.volume_force {
+        VolumeForce::Applied => 0.0,
+        VolumeForce::Total => 1.0,
     }
 }
 
@@ -136,6 +169,15 @@ impl Muscles {
         Self { longitudinal: [[0.0; WIDTH]; 4], transverse: [[0.0; WIDTH]; 4] };
 }
 
+/// Lengths of a chunk's four longitudinal springs \[m\].
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Lengths(pub(crate) [Row; 4]);
+
+impl Lengths {
+    pub(crate) const ZERO: Self = Self([[0.0; WIDTH]; 4]);
+}
+
 /// Radii of a compartment's floor: the ceiling of the one before, or the base.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
@@ -144,12 +186,20 @@ pub(crate) struct Floor {
     pub(crate) rate: [Row; 4],
 }
 
+/// A [`Floor`] wherever it stands.
+#[derive(Clone, Copy)]
+pub(crate) struct FloorRef<'a> {
+    pub(crate) radius: &'a [Row; 4],
+    pub(crate) rate: &'a [Row; 4],
+}
+
 impl Floor {
     pub(crate) const ZERO: Self = Self { radius: [[0.0; WIDTH]; 4], rate: [[0.0; WIDTH]; 4] };
 }
 
 /// The base's motion in its own frame, one value a lane.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
 pub(crate) struct BaseFrame<const L: usize> {
     /// Angular velocity.
     pub(crate) omega: [[f64; L]; 3],
@@ -157,8 +207,6 @@ pub(crate) struct BaseFrame<const L: usize> {
     pub(crate) psi: [[f64; L]; 3],
     /// Gravity.
     pub(crate) gravity: [[f64; L]; 3],
-    /// Base radius.
-    pub(crate) radius: [f64; L],
 }
 
 /// Where compartment `j` of a body with `L` lanes lives: chunk, and slot of its first lane.
@@ -168,41 +216,74 @@ pub(crate) const fn place<const L: usize>(compartment: usize) -> (usize, usize) 
     (flat / WIDTH, flat % WIDTH)
 }
 
+/// What the sweeps need of a chunk, beside its state.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Link {
+    angles: trigonometry::Angles,
+    motion: kinematics::Motion,
+    external: water::External,
+    radial: [Row; 4],
+    joints: articulated::Joints,
+}
+
+impl Link {
+    const ZERO: Self = Self {
+        angles: trigonometry::Angles::ZERO,
+        motion: kinematics::Motion::ZERO,
+        external: water::External::ZERO,
+        radial: [[0.0; WIDTH]; 4],
+        joints: articulated::Joints::ZERO,
+    };
+}
+
+/// Chunks that a pass goes through before the next one follows: several, so that the processor fills
+/// the waits in one chunk's chains of dependent operations with the next chunk's; not all, so that
+/// what a pass hands to the next stays in the nearest cache.
+pub(crate) const BLOCK: usize = 3;
+
 /// Intermediate results of one evaluation, kept from call to call.
 #[derive(Clone, Debug)]
 pub(crate) struct Workspace {
-    angles: Vec<trigonometry::Angles>,
-    floors: Vec<Floor>,
-    motions: Vec<kinematics::Motion>,
-    external: Vec<water::External>,
-    tops: Vec<springs::Top>,
-    /// One more than there are chunks: the last is the absent compartment beyond the tip.
-    bottoms: Vec<springs::Bottom>,
-    planes: Vec<plane::Plane>,
-    joints: Vec<articulated::Joints>,
-    pub(crate) accelerations: Vec<Block>,
+    links: Vec<Link>,
+    scratch: Box<Scratch>,
+}
+
+/// What one pass hands to the next within a block or from one chunk to the next; in the same place
+/// every time, so that it stays in the nearest cache.
+#[derive(Clone, Debug)]
+struct Scratch {
+    flows: [kinematics::Flow; BLOCK],
+    floor: Floor,
+    top: springs::Top,
+    /// Of this chunk and of the one further from the base, in turns.
+    bottoms: [springs::Bottom; 2],
+    gathered: springs::Bottom,
+    plane: plane::Plane,
 }
 
 impl Workspace {
     pub(crate) fn new(chunks: usize) -> Self {
         Self {
-            angles: vec![trigonometry::Angles::ZERO; chunks],
-            floors: vec![Floor::ZERO; chunks],
-            motions: vec![kinematics::Motion::ZERO; chunks],
-            external: vec![water::External::ZERO; chunks],
-            tops: vec![springs::Top::ZERO; chunks],
-            bottoms: vec![springs::Bottom::ZERO; chunks + 1],
-            planes: vec![plane::Plane::ZERO; chunks],
-            joints: vec![articulated::Joints::ZERO; chunks],
-            accelerations: vec![Block::ZERO; chunks],
+            links: vec![Link::ZERO; chunks],
+            scratch: Box::new(Scratch {
+                flows: [kinematics::Flow::ZERO; BLOCK],
+                floor: Floor::ZERO,
+                top: springs::Top::ZERO,
+                bottoms: [springs::Bottom::ZERO; 2],
+                gathered: springs::Bottom::ZERO,
+                plane: plane::Plane::ZERO,
+            }),
         }
     }
 }
 
 /// What an evaluation reads and does not change.
 #[derive(Clone, Debug)]
-pub(crate) struct Body {
+pub(crate) struct Body<const L: usize> {
     pub(crate) compartments: usize,
+    /// A chunk that ends with the base planes, as if they were compartments of their own.
+    pub(crate) base: Box<Block>,
     /// On the heap, like all that asks for 64-byte alignment: an [`crate::Arm`] may be embedded in
     /// memory that a foreign allocator aligned for ordinary numbers only.
     pub(crate) material: Box<Material>,
@@ -217,133 +298,180 @@ fn shift_outward<const L: usize>(before: &Row, this: &Row, out: &mut Row) {
     }
 }
 
-/// Fills `floors` with the radii one compartment nearer the base.
+/// The radii of chunk `c`'s floors, one compartment nearer the base, and their rates; in `gathered`
+/// if they do not stand in neighbouring slots of one chunk anyway.
 #[inline(always)]
-fn gather_floors<const L: usize>(
-    base_radius: &[f64; L],
-    coordinates: &[Block],
-    rates: &[Block],
-    floors: &mut [Floor],
-) {
-    let mut base = [0.0; WIDTH];
-    base[WIDTH - L..].copy_from_slice(base_radius);
-    for c in 0..coordinates.len() {
-        for i in 0..4 {
-            let (radius, rate) = if c == 0 {
-                (&base, &[0.0; WIDTH])
-            } else {
-                (&coordinates[c - 1].0[3 + i], &rates[c - 1].0[3 + i])
-            };
-            shift_outward::<L>(radius, &coordinates[c].0[3 + i], &mut floors[c].radius[i]);
-            shift_outward::<L>(rate, &rates[c].0[3 + i], &mut floors[c].rate[i]);
-        }
+fn floor<'a, const L: usize>(
+    body: &'a Body<L>,
+    coordinates: &'a [Block],
+    rates: &'a [Block],
+    c: usize,
+    gathered: &'a mut Floor,
+) -> FloorRef<'a> {
+    let (before, before_rates) =
+        if c == 0 { (&*body.base, &Block::ZERO) } else { (&coordinates[c - 1], &rates[c - 1]) };
+    if L == WIDTH {
+        return FloorRef { radius: before.radii(), rate: before_rates.radii() };
     }
+    for i in 3..COORDINATES {
+        let (radius, rate) = (&coordinates[c].0[i], &rates[c].0[i]);
+        shift_outward::<L>(&before.0[i], radius, &mut gathered.radius[i - 3]);
+        shift_outward::<L>(&before_rates.0[i], rate, &mut gathered.rate[i - 3]);
+    }
+    FloorRef { radius: &gathered.radius, rate: &gathered.rate }
 }
 
-/// Lengths of all longitudinal springs, one chunk an entry of `lengths`.
+/// Lengths of a chunk's longitudinal springs. Leaves the sines and cosines of its joints in the
+/// workspace.
 #[inline(always)]
 pub(crate) fn spring_lengths<const L: usize>(
-    body: &Body,
-    base_radius: &[f64; L],
+    body: &Body<L>,
     coordinates: &[Block],
     rates: &[Block],
+    c: usize,
     workspace: &mut Workspace,
-    lengths: &mut [[Row; 4]],
+    lengths: &mut Lengths,
 ) {
-    gather_floors::<L>(base_radius, coordinates, rates, &mut workspace.floors);
-    for c in 0..body.rest.len() {
-        trigonometry::angles(&coordinates[c], &mut workspace.angles[c]);
-        springs::lengths(
+    let floor = floor::<L>(body, coordinates, rates, c, &mut workspace.scratch.floor);
+    let angles = &mut workspace.links[c].angles;
+    trigonometry::angles(&coordinates[c], angles);
+    springs::lengths(&coordinates[c], angles, floor, &mut lengths.0);
+}
+
+/// First part of an evaluation, for the chunks `block` (at most [`BLOCK`]): velocities and water,
+/// base to tip. `travel` goes on from block to block.
+///
+/// `coordinates` and `rates` hold one block a chunk. Slots beyond the last compartment must hold a
+/// state at rest.
+#[inline(always)]
+pub(crate) fn outward<const L: usize>(
+    body: &Body<L>,
+    travel: &mut kinematics::Travel<L>,
+    coordinates: &[Block],
+    rates: &[Block],
+    block: Range<usize>,
+    trigonometry_known: bool,
+    workspace: &mut Workspace,
+) {
+    let Workspace { links, scratch } = workspace;
+    let Scratch { flows, floor: floor_place, .. } = &mut **scratch;
+    let first = block.start;
+    let chunks = links.len();
+    assert!(block.end <= chunks && block.len() <= BLOCK && body.rest.len() == chunks);
+    assert!(coordinates.len() == chunks && rates.len() == chunks);
+    if !trigonometry_known {
+        for c in block.clone() {
+            trigonometry::angles(&coordinates[c], &mut links[c].angles);
+        }
+    }
+    for c in block.clone() {
+        let Link { angles, motion, .. } = &mut links[c];
+        kinematics::outward::<L>(
+            in_chunk::<L>(body.compartments, c),
+            travel,
             &coordinates[c],
-            &workspace.angles[c],
-            &workspace.floors[c],
-            &mut lengths[c],
+            &rates[c],
+            angles,
+            motion,
+            &mut flows[c - first],
+        );
+    }
+    for c in block {
+        water::external(
+            &body.material,
+            &body.rest[c],
+            &coordinates[c],
+            floor::<L>(body, coordinates, rates, c, floor_place),
+            &flows[c - first],
+            &mut links[c].external,
         );
     }
 }
 
-/// Accelerations of all coordinates, into `workspace.accelerations`.
-///
-/// `coordinates`, `rates` and `muscles` hold one block a chunk. Slots beyond the last compartment
-/// must hold a state at rest; their accelerations stay zero.
+/// Second part of an evaluation: springs, planes and the inward sweep, tip to base.
 #[inline(always)]
-pub(crate) fn evaluate<const L: usize>(
-    body: &Body,
-    base: &BaseFrame<L>,
+pub(crate) fn inward<const L: usize>(
+    body: &Body<L>,
     coordinates: &[Block],
     rates: &[Block],
     muscles: &[Muscles],
     workspace: &mut Workspace,
 ) {
-    let chunks = body.rest.len();
-    let n = body.compartments;
-    let w = workspace;
-    for c in 0..chunks {
-        trigonometry::angles(&coordinates[c], &mut w.angles[c]);
+    let Workspace { links, scratch } = workspace;
+    let chunks = links.len();
+    assert!(body.rest.len() == chunks && muscles.len() == chunks);
+    assert!(coordinates.len() == chunks && rates.len() == chunks);
+    let Scratch { floor: floor_place, top, bottoms, gathered, plane, .. } = &mut **scratch;
+    // The inward sweep is one long chain of dependent operations. The forces of the next chunk fill
+    // its waits, and it theirs.
+    let mut carried = articulated::Carried::TIP;
+    bottoms[chunks % 2] = springs::Bottom::ZERO;
+    for c in (0..=chunks).rev() {
+        if let Some(c) = c.checked_sub(1) {
+            let bottom = &mut bottoms[c % 2];
+            springs::forces(
+                &body.material,
+                &body.rest[c],
+                &muscles[c],
+                &coordinates[c],
+                &rates[c],
+                &links[c].angles,
+                floor::<L>(body, coordinates, rates, c, floor_place),
+                &links[c].external,
+                top,
+                bottom,
+            );
+            if c + 1 == chunks {
+                clear_beyond_tip::<L>(body.compartments, bottom);
+            }
+        }
+        if c < chunks {
+            articulated::inward::<L>(
+                in_chunk::<L>(body.compartments, c),
+                &mut carried,
+                &body.material,
+                &coordinates[c],
+                plane,
+                &mut links[c],
+            );
+        }
+        if let Some(c) = c.checked_sub(1) {
+            let Link { motion, radial, .. } = &mut links[c];
+            let above = springs::above::<L>(&bottoms[c % 2], &bottoms[(c + 1) % 2], gathered);
+            let (q, u) = (&coordinates[c], &rates[c]);
+            plane::assemble(&body.material, q, u, motion, top, above, plane, radial);
+        }
     }
-    kinematics::outward::<L>(n, base, coordinates, rates, &w.angles, &mut w.motions);
-    gather_floors::<L>(&base.radius, coordinates, rates, &mut w.floors);
-    for c in 0..chunks {
-        water::external(
-            &body.material,
-            &body.rest[c],
-            &coordinates[c],
-            &w.floors[c],
-            &w.motions[c],
-            &mut w.external[c],
-        );
-        springs::forces(
-            &body.material,
-            &body.rest[c],
-            &muscles[c],
-            &coordinates[c],
-            &rates[c],
-            &w.angles[c],
-            &w.floors[c],
-            &w.external[c],
-            &mut w.tops[c],
-            &mut w.bottoms[c],
-        );
-    }
-    clear_beyond_tip::<L>(n, &mut w.bottoms);
-    for c in 0..chunks {
-        let above = springs::above::<L>(&w.bottoms, c);
-        plane::assemble(
-            &body.material,
-            &coordinates[c],
-            &rates[c],
-            &w.motions[c],
-            &w.tops[c],
-            &above,
-            &mut w.planes[c],
-        );
-    }
-    articulated::inward::<L>(
-        n,
-        &body.material,
-        coordinates,
-        &w.angles,
-        &w.external,
-        &w.planes,
-        &mut w.joints,
-    );
-    articulated::outward::<L>(
-        n,
-        coordinates,
-        &w.angles,
-        &w.planes,
-        &w.joints,
-        &mut w.accelerations,
-    );
+}
+
+/// Last part of an evaluation: accelerations of chunk `c`, base to tip. `travel` goes on from chunk
+/// to chunk.
+#[inline(always)]
+pub(crate) fn accelerations<const L: usize>(
+    body: &Body<L>,
+    coordinates: &Block,
+    c: usize,
+    travel: &mut articulated::Travel<L>,
+    workspace: &Workspace,
+    out: &mut Block,
+) {
+    let range = in_chunk::<L>(body.compartments, c);
+    articulated::outward::<L>(range, travel, coordinates, &workspace.links[c], out);
+}
+
+/// First slots of the compartments of chunk `c`.
+#[inline(always)]
+fn in_chunk<const L: usize>(compartments: usize, c: usize) -> Range<usize> {
+    0..WIDTH.min((compartments - c * (WIDTH / L)) * L)
 }
 
 /// The springs of the slots beyond the last compartment pull on nothing.
 #[inline(always)]
-fn clear_beyond_tip<const L: usize>(compartments: usize, bottoms: &mut [springs::Bottom]) {
-    let (chunk, slot) = place::<L>(compartments);
-    for row in &mut bottoms[chunk].0 {
-        for value in &mut row[slot..slot + L] {
-            *value = 0.0;
+fn clear_beyond_tip<const L: usize>(compartments: usize, bottom: &mut springs::Bottom) {
+    let (_, slot) = place::<L>(compartments);
+    if slot > 0 {
+        for row in &mut bottom.0 {
+            row[slot..].fill(0.0);
         }
     }
 }

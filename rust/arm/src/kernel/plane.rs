@@ -22,8 +22,6 @@ pub(crate) struct Plane {
     pub(crate) torque: [Row; 3],
     /// Bias force, without the external force (which the recursion adds in the floor's frame).
     pub(crate) force: [Row; 3],
-    /// Radial accelerations before the share of the plane's own acceleration.
-    pub(crate) radial: [Row; 4],
 }
 
 impl Plane {
@@ -32,11 +30,12 @@ impl Plane {
         moment: [[0.0; WIDTH]; 2],
         torque: [[0.0; WIDTH]; 3],
         force: [[0.0; WIDTH]; 3],
-        radial: [[0.0; WIDTH]; 4],
     };
 }
 
+/// The plane, and its radial accelerations before the share of the plane's own acceleration.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn assemble(
     material: &Material,
     coordinates: &Block,
@@ -45,6 +44,7 @@ pub(crate) fn assemble(
     top: &Top,
     above: &Bottom,
     out: &mut Plane,
+    radial: &mut [Row; 4],
 ) {
     let (q, u) = (&coordinates.0, &rates.0);
     for k in 0..WIDTH {
@@ -111,9 +111,9 @@ pub(crate) fn assemble(
         // r̈ = (F·u + τ)/m − a·u + r (ω² − (ω·u)²), Eqs. 1 and 4 along the radius.
         let spin_x = wy.mul_add(wy, wz * wz);
         let spin_y = wx.mul_add(wx, wz * wz);
-        out.radial[0][k] = r1.mul_add(spin_x, (t1 + f1x).mul_add(inverse_mass, -ax));
-        out.radial[2][k] = r3.mul_add(spin_x, (t3 - f3x).mul_add(inverse_mass, ax));
-        out.radial[1][k] = r2.mul_add(spin_y, (t2 + f2y).mul_add(inverse_mass, -ay));
-        out.radial[3][k] = r4.mul_add(spin_y, (t4 - f4y).mul_add(inverse_mass, ay));
+        radial[0][k] = r1.mul_add(spin_x, (t1 + f1x).mul_add(inverse_mass, -ax));
+        radial[2][k] = r3.mul_add(spin_x, (t3 - f3x).mul_add(inverse_mass, ax));
+        radial[1][k] = r2.mul_add(spin_y, (t2 + f2y).mul_add(inverse_mass, -ay));
+        radial[3][k] = r4.mul_add(spin_y, (t4 - f4y).mul_add(inverse_mass, ay));
     }
 }

@@ -6,7 +6,7 @@
 
 use super::trigonometry::Angles;
 use super::water::External;
-use super::{Block, Floor, Material, Muscles, Rest, Row, WIDTH};
+use super::{Block, FloorRef, Material, Muscles, Rest, Row, WIDTH};
 
 /// Forces on the ceiling's joints, ceiling's frame: of the four springs, and the transverse τ.
 #[derive(Clone, Copy, Debug)]
@@ -34,18 +34,25 @@ impl Bottom {
 /// Index in [`Bottom`] of component `y` of each spring; x (springs 1 and 3) is before it, z after.
 pub(crate) const BOTTOM_Y: [usize; 4] = [1, 6, 4, 8];
 
-/// The bottom forces of the compartments one further from the base than those of chunk `c`.
+/// The bottom forces of the compartments one further from the base than those of a chunk with
+/// bottoms `this`; `next` are the next chunk's. In `gathered` if they are not the next chunk's anyway.
 #[inline(always)]
-pub(crate) fn above<const L: usize>(bottoms: &[Bottom], c: usize) -> Bottom {
-    let (this, next) = (&bottoms[c].0, &bottoms[c + 1].0);
-    let mut out = Bottom::ZERO;
+pub(crate) fn above<'a, const L: usize>(
+    this: &Bottom,
+    next: &'a Bottom,
+    gathered: &'a mut Bottom,
+) -> &'a Bottom {
+    if L == WIDTH {
+        return next;
+    }
     for row in 0..10 {
         for k in 0..WIDTH {
             let from = k + L;
-            out.0[row][k] = if from < WIDTH { this[row][from] } else { next[row][from - WIDTH] };
+            gathered.0[row][k] =
+                if from < WIDTH { this.0[row][from] } else { next.0[row][from - WIDTH] };
         }
     }
-    out
+    gathered
 }
 
 /// Images of the x-axis and y-axis under `R_x(α) R_y(β)`; the y-axis's has no x component.
@@ -56,7 +63,12 @@ fn axes(sa: f64, ca: f64, sb: f64, cb: f64) -> ([f64; 3], [f64; 2]) {
 
 /// Lengths of the four springs of every slot.
 #[inline(always)]
-pub(crate) fn lengths(coordinates: &Block, angles: &Angles, floor: &Floor, out: &mut [Row; 4]) {
+pub(crate) fn lengths(
+    coordinates: &Block,
+    angles: &Angles,
+    floor: FloorRef<'_>,
+    out: &mut [Row; 4],
+) {
     let q = &coordinates.0;
     for k in 0..WIDTH {
         let h = q[0][k];
@@ -66,21 +78,21 @@ pub(crate) fn lengths(coordinates: &Block, angles: &Angles, floor: &Floor, out: 
         let two = y_spring(1.0, h, q[4][k], floor.radius[1][k], ey);
         let three = x_spring(-1.0, h, q[5][k], floor.radius[2][k], ex);
         let four = y_spring(-1.0, h, q[6][k], floor.radius[3][k], ey);
-        out[0][k] = norm3(one);
-        out[1][k] = norm2(two);
-        out[2][k] = norm3(three);
-        out[3][k] = norm2(four);
+        out[0][k] = square3(one).sqrt();
+        out[1][k] = square2(two).sqrt();
+        out[2][k] = square3(three).sqrt();
+        out[3][k] = square2(four).sqrt();
     }
 }
 
 #[inline(always)]
-fn norm3(d: [f64; 3]) -> f64 {
-    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2])).sqrt()
+fn square3(d: [f64; 3]) -> f64 {
+    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }
 
 #[inline(always)]
-fn norm2(d: [f64; 2]) -> f64 {
-    d[0].mul_add(d[0], d[1] * d[1]).sqrt()
+fn square2(d: [f64; 2]) -> f64 {
+    d[0].mul_add(d[0], d[1] * d[1])
 }
 
 /// Vector of spring 1 (σ = 1) or 3 (σ = −1), floor's frame.
@@ -106,7 +118,7 @@ pub(crate) fn forces(
     coordinates: &Block,
     rates: &Block,
     angles: &Angles,
-    floor: &Floor,
+    floor: FloorRef<'_>,
     external: &External,
     top: &mut Top,
     bottom: &mut Bottom,
@@ -117,33 +129,55 @@ pub(crate) fn forces(
         let (sa, ca) = (angles.sin_alpha[k], angles.cos_alpha[k]);
         let (sb, cb) = (angles.sin_beta[k], angles.cos_beta[k]);
         let (ex, ey) = axes(sa, ca, sb, cb);
-        // Rates of the images: the y-axis turns with α alone, the x-axis with α and β.
-        let ex_rate = [
-            -(sb * b_rate),
-            (sa * cb).mul_add(b_rate, -(ex[2] * a_rate)),
-            ex[1].mul_add(a_rate, -(ca * cb * b_rate)),
+        let (r1, r2, r3, r4) = (q[3][k], q[4][k], q[5][k], q[6][k]);
+        let (f1, f2, f3, f4) =
+            (floor.radius[0][k], floor.radius[1][k], floor.radius[2][k], floor.radius[3][k]);
+
+        let one = x_spring(1.0, h, r1, f1, ex);
+        let two = y_spring(1.0, h, r2, f2, ey);
+        let three = x_spring(-1.0, h, r3, f3, ex);
+        let four = y_spring(-1.0, h, r4, f4, ey);
+        let square = [square3(one), square2(two), square3(three), square2(four)];
+        let length = [square[0].sqrt(), square[1].sqrt(), square[2].sqrt(), square[3].sqrt()];
+        // The division need not wait for the root.
+        let inverse = [
+            length[0] * (1.0 / square[0]),
+            length[1] * (1.0 / square[1]),
+            length[2] * (1.0 / square[2]),
+            length[3] * (1.0 / square[3]),
         ];
-        let ey_rate = [-(sa * a_rate), ca * a_rate];
 
-        let one = x_spring(1.0, h, q[3][k], floor.radius[0][k], ex);
-        let two = y_spring(1.0, h, q[4][k], floor.radius[1][k], ey);
-        let three = x_spring(-1.0, h, q[5][k], floor.radius[2][k], ex);
-        let four = y_spring(-1.0, h, q[6][k], floor.radius[3][k], ey);
+        // The same vectors in the ceiling's frame, where the strut is h (−ca sb, sa, ca cb).
+        let (hx, hy, hz) = (h * ex[2], h * sa, h * ca * cb);
+        let (ux, uz) = (sa * sb, sa * cb);
+        let one_up = [(-f1).mul_add(cb, hx + r1), hy, (-f1).mul_add(sb, hz)];
+        let three_up = [f3.mul_add(cb, hx - r3), hy, f3.mul_add(sb, hz)];
+        let two_up = [(-f2).mul_add(ux, hx), (-f2).mul_add(ca, hy + r2), f2.mul_add(uz, hz)];
+        let four_up = [f4.mul_add(ux, hx), f4.mul_add(ca, hy - r4), (-f4).mul_add(uz, hz)];
 
-        let one_rate = x_spring_rate(1.0, h_rate, q[3][k], u[3][k], floor.rate[0][k], ex, ex_rate);
-        let two_rate = y_spring_rate(1.0, h_rate, q[4][k], u[4][k], floor.rate[1][k], ey, ey_rate);
-        let three_rate =
-            x_spring_rate(-1.0, h_rate, q[5][k], u[5][k], floor.rate[2][k], ex, ex_rate);
-        let four_rate =
-            y_spring_rate(-1.0, h_rate, q[6][k], u[6][k], floor.rate[3][k], ey, ey_rate);
-
-        let length = [norm3(one), norm2(two), norm3(three), norm2(four)];
-        let inverse = [1.0 / length[0], 1.0 / length[1], 1.0 / length[2], 1.0 / length[3]];
+        // Half the rate of the squared length,
+        // d·ḋ = ḣ d_z + σ ṙ (d in the ceiling's frame)_u − σ ṙ_0 d_u + r (σ h ė_z − r_0 ė_u).
+        let ex_rate = -(sb * b_rate);
+        let hx_rate = h * ux.mul_add(a_rate, -(ca * cb * b_rate));
+        let (ey_rate, hy_rate) = (-(sa * a_rate), h * (ca * a_rate));
+        let rate = |i: usize| (u[3 + i][k], floor.rate[i][k]);
         let stretch_rate = [
-            dot3(one, one_rate) * inverse[0],
-            dot2(two, two_rate) * inverse[1],
-            dot3(three, three_rate) * inverse[2],
-            dot2(four, four_rate) * inverse[3],
+            inverse[0]
+                * squared_rate(h_rate * one[2], rate(0), (one_up[0], one[0]), {
+                    r1 * (-f1).mul_add(ex_rate, hx_rate)
+                }),
+            inverse[1]
+                * squared_rate(h_rate * two[1], rate(1), (two_up[1], two[0]), {
+                    r2 * (-f2).mul_add(ey_rate, hy_rate)
+                }),
+            inverse[2]
+                * squared_rate(h_rate * three[2], rate(2), (-three_up[0], -three[0]), {
+                    -(r3 * f3.mul_add(ex_rate, hx_rate))
+                }),
+            inverse[3]
+                * squared_rate(h_rate * four[1], rate(3), (-four_up[1], -four[0]), {
+                    -(r4 * f4.mul_add(ey_rate, hy_rate))
+                }),
         ];
 
         let excess = external.excess_volume[k];
@@ -176,83 +210,24 @@ pub(crate) fn forces(
             top.transverse[i][k] = ring[i] + delta_v;
         }
 
-        let pull = [one[0], one[1], one[2]].map(|d| d * tension_over_length[0]);
+        let [t1, t2, t3, t4] = tension_over_length;
         for axis in 0..3 {
-            bottom.0[axis][k] = pull[axis];
+            bottom.0[axis][k] = one[axis] * t1;
+            bottom.0[3 + axis][k] = three[axis] * t3;
+            top.force[0][axis][k] = one_up[axis] * -t1;
+            top.force[1][axis][k] = two_up[axis] * -t2;
+            top.force[2][axis][k] = three_up[axis] * -t3;
+            top.force[3][axis][k] = four_up[axis] * -t4;
         }
-        store(top, 0, k, into_ceiling(pull, sa, ca, sb, cb));
-        let pull = [three[0], three[1], three[2]].map(|d| d * tension_over_length[2]);
-        for axis in 0..3 {
-            bottom.0[3 + axis][k] = pull[axis];
+        for axis in 0..2 {
+            bottom.0[6 + axis][k] = two[axis] * t2;
+            bottom.0[8 + axis][k] = four[axis] * t4;
         }
-        store(top, 2, k, into_ceiling(pull, sa, ca, sb, cb));
-        let pull = [two[0] * tension_over_length[1], two[1] * tension_over_length[1]];
-        bottom.0[6][k] = pull[0];
-        bottom.0[7][k] = pull[1];
-        store(top, 1, k, into_ceiling([0.0, pull[0], pull[1]], sa, ca, sb, cb));
-        let pull = [four[0] * tension_over_length[3], four[1] * tension_over_length[3]];
-        bottom.0[8][k] = pull[0];
-        bottom.0[9][k] = pull[1];
-        store(top, 3, k, into_ceiling([0.0, pull[0], pull[1]], sa, ca, sb, cb));
     }
 }
 
+/// Sum of the four parts of `d·ḋ`: of the strut, the two radii, and the joint's turning.
 #[inline(always)]
-fn store(top: &mut Top, spring: usize, k: usize, force: [f64; 3]) {
-    for axis in 0..3 {
-        top.force[spring][axis][k] = force[axis];
-    }
-}
-
-/// The reaction at the ceiling, `−R_y(β)ᵀ R_x(α)ᵀ f`.
-#[inline(always)]
-fn into_ceiling(f: [f64; 3], sa: f64, ca: f64, sb: f64, cb: f64) -> [f64; 3] {
-    let y = ca.mul_add(f[1], sa * f[2]);
-    let z = ca.mul_add(f[2], -(sa * f[1]));
-    [sb.mul_add(z, -(cb * f[0])), -y, -(cb.mul_add(z, sb * f[0]))]
-}
-
-#[inline(always)]
-fn dot3(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
-}
-
-#[inline(always)]
-fn dot2(a: [f64; 2], b: [f64; 2]) -> f64 {
-    a[0].mul_add(b[0], a[1] * b[1])
-}
-
-#[inline(always)]
-fn x_spring_rate(
-    sigma: f64,
-    h_rate: f64,
-    radius: f64,
-    radius_rate: f64,
-    floor_rate: f64,
-    axis: [f64; 3],
-    axis_rate: [f64; 3],
-) -> [f64; 3] {
-    let (r, r_rate) = (sigma * radius, sigma * radius_rate);
-    [
-        r_rate.mul_add(axis[0], r.mul_add(axis_rate[0], -(sigma * floor_rate))),
-        r_rate.mul_add(axis[1], r * axis_rate[1]),
-        r_rate.mul_add(axis[2], r.mul_add(axis_rate[2], h_rate)),
-    ]
-}
-
-#[inline(always)]
-fn y_spring_rate(
-    sigma: f64,
-    h_rate: f64,
-    radius: f64,
-    radius_rate: f64,
-    floor_rate: f64,
-    axis: [f64; 2],
-    axis_rate: [f64; 2],
-) -> [f64; 2] {
-    let (r, r_rate) = (sigma * radius, sigma * radius_rate);
-    [
-        r_rate.mul_add(axis[0], r.mul_add(axis_rate[0], -(sigma * floor_rate))),
-        r_rate.mul_add(axis[1], r.mul_add(axis_rate[1], h_rate)),
-    ]
+fn squared_rate(strut: f64, rate: (f64, f64), along: (f64, f64), turning: f64) -> f64 {
+    rate.0.mul_add(along.0, (-rate.1).mul_add(along.1, strut)) + turning
 }

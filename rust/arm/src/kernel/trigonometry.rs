@@ -25,13 +25,7 @@ impl Angles {
 #[inline(always)]
 pub(crate) fn angles(coordinates: &Block, out: &mut Angles) {
     for k in 0..WIDTH {
-        let (sine, cosine) = sin_cos(coordinates.0[1][k]);
-        out.sin_alpha[k] = sine;
-        out.cos_alpha[k] = cosine;
-    }
-    for k in 0..WIDTH {
-        let (sine, cosine) = sin_cos(coordinates.0[2][k]);
-        out.sin_beta[k] = sine;
-        out.cos_beta[k] = cosine;
+        (out.sin_alpha[k], out.cos_alpha[k]) = sin_cos(coordinates.0[1][k]);
+        (out.sin_beta[k], out.cos_beta[k]) = sin_cos(coordinates.0[2][k]);
     }
 }

@@ -3,8 +3,8 @@
 //! In the frame of the compartment's floor the strut is the z-axis, so the angle of incidence is that
 //! between the velocity and z.
 
-use super::kinematics::Motion;
-use super::{Block, Floor, Material, Rest, Row, WIDTH};
+use super::kinematics::Flow;
+use super::{Block, FloorRef, Material, Rest, Row, WIDTH};
 use crate::transcendental::atan_small;
 
 /// External force on the ceiling plane's centre and the compartment's excess volume.
@@ -29,10 +29,11 @@ const LIFT_DEGENERACY: f64 = 1e-9;
 
 #[inline(always)]
 fn polynomial(coefficients: &[Row; 5], k: usize, x: f64) -> f64 {
-    let sum = coefficients[0][k].mul_add(x, coefficients[1][k]);
-    let sum = sum.mul_add(x, coefficients[2][k]);
-    let sum = sum.mul_add(x, coefficients[3][k]);
-    sum.mul_add(x, coefficients[4][k])
+    let square = x * x;
+    let high =
+        coefficients[0][k].mul_add(square, coefficients[1][k].mul_add(x, coefficients[2][k]));
+    let low = coefficients[3][k].mul_add(x, coefficients[4][k]);
+    high.mul_add(square, low)
 }
 
 #[inline(always)]
@@ -40,8 +41,8 @@ pub(crate) fn external(
     material: &Material,
     rest: &Rest,
     coordinates: &Block,
-    floor: &Floor,
-    motion: &Motion,
+    floor: FloorRef<'_>,
+    flow: &Flow,
     out: &mut External,
 ) {
     let q = &coordinates.0;
@@ -55,7 +56,7 @@ pub(crate) fn external(
         let volume = std::f64::consts::FRAC_PI_3 * h * squares;
         out.excess_volume[k] = volume - rest.volume[k];
 
-        let (x, y, z) = (motion.velocity[0][k], motion.velocity[1][k], motion.velocity[2][k]);
+        let (x, y, z) = (flow.velocity[0][k], flow.velocity[1][k], flow.velocity[2][k]);
         let across_squared = x.mul_add(x, y * y);
         let across = across_squared.sqrt();
         let along = z.abs();
@@ -84,8 +85,8 @@ pub(crate) fn external(
         let sideways = -(drag + lift * along / (across + TINY));
         let lengthwise = (-drag).mul_add(z, lift * across.copysign(z));
         let weight = material.net_density[k] * volume;
-        out.force[0][k] = weight.mul_add(motion.gravity[0][k], sideways * x);
-        out.force[1][k] = weight.mul_add(motion.gravity[1][k], sideways * y);
-        out.force[2][k] = weight.mul_add(motion.gravity[2][k], lengthwise);
+        out.force[0][k] = weight.mul_add(flow.gravity[0][k], sideways * x);
+        out.force[1][k] = weight.mul_add(flow.gravity[1][k], sideways * y);
+        out.force[2][k] = weight.mul_add(flow.gravity[2][k], lengthwise);
     }
 }

@@ -1,0 +1,411 @@
+//! Arms in the lanes of vector registers: everything that is done to an arm, for `L` of them at once.
+
+use std::sync::Arc;
+
+use crate::arm::Arm;
+use crate::base::{Actuator, BaseDrive, BaseMotion, BaseRows};
+use crate::domain::find_failure;
+use crate::engine::{Engine, InstructionSet};
+use crate::error::{DomainError, ParameterError};
+use crate::kernel::{Muscles, WIDTH, place};
+use crate::parameters::ArmParameters;
+use crate::state::{ArmState, COORDINATES};
+
+/// `L` arms with the same number of compartments, each with its own parameters and actuator.
+#[derive(Clone, Debug)]
+pub(crate) struct Lanes<const L: usize> {
+    parameters: [Arc<ArmParameters>; L],
+    drive: BaseDrive<L>,
+    engine: Engine<L>,
+    pub(crate) instructions: InstructionSet,
+    base: [[f64; L]; 4],
+    steps: [u64; L],
+    failures: [Option<DomainError>; L],
+}
+
+impl<const L: usize> Lanes<L> {
+    /// Arms at rest with every spring at its rest length. The parameters must be valid.
+    pub(crate) fn new(
+        parameters: [Arc<ArmParameters>; L],
+        actuators: [Actuator; L],
+        instructions: InstructionSet,
+    ) -> Self {
+        let arms = std::array::from_fn(|lane| &*parameters[lane]);
+        Self {
+            drive: BaseDrive::new(&std::array::from_fn(|lane| (arms[lane], actuators[lane]))),
+            engine: Engine::new(&arms),
+            instructions,
+            base: [[0.0; L]; 4],
+            steps: [0; L],
+            failures: [None; L],
+            parameters,
+        }
+    }
+
+    pub(crate) fn parameters(&self, lane: usize) -> &Arc<ArmParameters> {
+        &self.parameters[lane]
+    }
+
+    pub(crate) fn actuator(&self, lane: usize) -> Actuator {
+        self.drive.actuator(lane)
+    }
+
+    fn compartments(&self) -> usize {
+        self.parameters[0].compartments
+    }
+
+    /// Number of spring lengths of an arm.
+    pub(crate) fn observation_len(&self) -> usize {
+        4 * self.compartments()
+    }
+
+    pub(crate) fn steps(&self, lane: usize) -> u64 {
+        self.steps[lane]
+    }
+
+    /// `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
+    pub(crate) fn base(&self, lane: usize) -> [f64; 4] {
+        self.base.map(|row| row[lane])
+    }
+
+    pub(crate) fn state(&self, lane: usize) -> ArmState {
+        let read = |entry: &dyn Fn(usize, usize) -> f64| {
+            (0..self.compartments())
+                .map(|j| std::array::from_fn(|index| entry(j, index)))
+                .collect::<Vec<[f64; COORDINATES]>>()
+        };
+        ArmState {
+            coordinates: read(&|j, index| self.engine.coordinate(lane, j, index)),
+            rates: read(&|j, index| self.engine.rate(lane, j, index)),
+            base: self.base(lane),
+            steps: self.steps[lane],
+        }
+    }
+
+    /// Puts a lane into a state that is known to be valid.
+    pub(crate) fn restore(&mut self, lane: usize, state: &ArmState) {
+        self.restore_many(&[(lane, state)]);
+    }
+
+    /// [`Lanes::restore`] of several lanes: the spring lengths of all are computed once.
+    pub(crate) fn restore_many(&mut self, states: &[(usize, &ArmState)]) {
+        for (lane, state) in states {
+            self.engine.set_state(*lane, &state.coordinates, &state.rates);
+            for (row, value) in self.base.iter_mut().zip(state.base) {
+                row[*lane] = value;
+            }
+            self.steps[*lane] = state.steps;
+        }
+        self.engine.refresh_lengths();
+    }
+
+    /// Puts a lane into a state, which is checked.
+    pub(crate) fn set_state(
+        &mut self,
+        lane: usize,
+        state: &ArmState,
+    ) -> Result<(), ParameterError> {
+        state.validate(self.compartments())?;
+        let before = self.state(lane);
+        self.restore(lane, state);
+        if let Some(failure) = self.present_failure(lane) {
+            self.restore(lane, &before);
+            return Err(ParameterError::OutOfRange {
+                name: format!(
+                    "state: {} of compartment {}",
+                    failure.limit.name(),
+                    failure.compartment
+                ),
+                value: failure.value.to_string(),
+                range: format!("[{}, {}]", failure.low, failure.high),
+            });
+        }
+        Ok(())
+    }
+
+    /// No muscle inputs in any lane.
+    pub(crate) fn clear_muscles(&mut self) {
+        self.engine.muscles.fill(Muscles::ZERO);
+    }
+
+    /// Sets ξ_c and δ_c of an arm's springs \[N\], in observation order.
+    pub(crate) fn set_muscles(
+        &mut self,
+        lane: usize,
+        longitudinal: &[f64],
+        transverse: &[f64],
+    ) -> Result<(), ParameterError> {
+        for (name, values) in [("longitudinal", longitudinal), ("transverse", transverse)] {
+            if values.len() != self.observation_len() {
+                return Err(ParameterError::Shape {
+                    name: name.to_owned(),
+                    found: format!("({},)", values.len()),
+                    expected: format!("({},)", self.observation_len()),
+                });
+            }
+            if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(ParameterError::OutOfRange {
+                    name: name.to_owned(),
+                    value: value.to_string(),
+                    range: "of finite numbers".to_owned(),
+                });
+            }
+        }
+        for j in 0..self.compartments() {
+            let (chunk, slot) = place::<L>(j);
+            let Muscles { longitudinal: xi, transverse: delta } = &mut self.engine.muscles[chunk];
+            for i in 0..4 {
+                xi[i][slot + lane] = longitudinal[4 * j + i];
+                delta[i][slot + lane] = transverse[4 * j + i];
+            }
+        }
+        Ok(())
+    }
+
+    /// ξ_c and δ_c of an arm's springs \[N\], in observation order.
+    pub(crate) fn muscles(&self, lane: usize) -> (Vec<f64>, Vec<f64>) {
+        (0..self.compartments())
+            .flat_map(|j| (0..4).map(move |i| (j, i)))
+            .map(|(j, i)| {
+                let (chunk, slot) = place::<L>(j);
+                let muscles = &self.engine.muscles[chunk];
+                (muscles.longitudinal[i][slot + lane], muscles.transverse[i][slot + lane])
+            })
+            .unzip()
+    }
+
+    /// Writes an arm's spring lengths in observation order.
+    pub(crate) fn lengths_into(&self, lane: usize, out: &mut [f64]) {
+        for (j, row) in out[..self.observation_len()].chunks_exact_mut(4).enumerate() {
+            for (i, value) in row.iter_mut().enumerate() {
+                *value = self.engine.length(lane, j, i);
+            }
+        }
+    }
+
+    /// The bases' motion over the next step under commands in degrees: start, middle and end.
+    pub(crate) fn motion(&self, commands: &[[f64; 2]; L]) -> [BaseRows<L>; 3] {
+        let rows = [0, 1].map(|axis| std::array::from_fn(|lane| commands[lane][axis].to_radians()));
+        self.drive.motion(&self.base, &rows)
+    }
+
+    /// One physics step of the active lanes. A lane whose step would leave the domain keeps its state;
+    /// the others go on. Returns whether all active lanes made their step; if not,
+    /// [`Lanes::failure`] says why.
+    pub(crate) fn step(&mut self, commands: &[[f64; 2]; L], active: &[bool; L]) -> bool {
+        let motion = self.motion(commands);
+        let inside = self.engine.advance(self.instructions, &motion);
+        let mut made = *active;
+        let mut complete = true;
+        for lane in 0..L {
+            if active[lane] && !inside[lane] {
+                // Within rounding of a limit the check in words finds nothing wrong.
+                self.failures[lane] = self.refusal(lane);
+                made[lane] = self.failures[lane].is_none();
+                complete &= made[lane];
+            }
+        }
+        self.engine.accept_lanes(&made);
+        let end = motion[2].state();
+        for lane in 0..L {
+            if made[lane] {
+                for (row, end) in self.base.iter_mut().zip(&end) {
+                    row[lane] = end[lane];
+                }
+                self.steps[lane] = self.steps[lane].saturating_add(1);
+            }
+        }
+        complete
+    }
+
+    /// Why the lane's last refused step was refused.
+    pub(crate) fn failure(&self, lane: usize) -> Option<DomainError> {
+        self.failures[lane]
+    }
+
+    /// The limit that the lane's present state passes.
+    pub(crate) fn present_failure(&self, lane: usize) -> Option<DomainError> {
+        self.find_failure(
+            lane,
+            |j, index| self.engine.coordinate(lane, j, index),
+            |j, index| self.engine.rate(lane, j, index),
+            |j, i| self.engine.length(lane, j, i),
+        )
+    }
+
+    fn refusal(&self, lane: usize) -> Option<DomainError> {
+        self.find_failure(
+            lane,
+            |j, index| self.engine.refused(lane, j).0[index],
+            |j, index| self.engine.refused(lane, j).1[index],
+            |j, i| self.engine.refused(lane, j).2[i],
+        )
+    }
+
+    fn find_failure(
+        &self,
+        lane: usize,
+        coordinate: impl Fn(usize, usize) -> f64,
+        rate: impl Fn(usize, usize) -> f64,
+        length: impl Fn(usize, usize) -> f64,
+    ) -> Option<DomainError> {
+        let parameters = &self.parameters[lane];
+        let time = (self.steps[lane] as f64 + 1.0) * parameters.timestep;
+        find_failure(parameters, coordinate, rate, length, time)
+    }
+}
+
+impl Lanes<1> {
+    pub(crate) fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {
+        self.engine.accelerations(self.instructions, base)
+    }
+}
+
+/// Up to [`ArmLanes::WIDTH`] arms that step together, one in each lane of the vector registers: many
+/// times the speed of one [`Arm`], and every arm has the very bits that it would have alone,
+/// whatever its neighbours do.
+///
+/// ```
+/// use octoarm_arm::{Actuator, Arm, ArmLanes, ArmParameters};
+/// let mut arm = Arm::new(ArmParameters::default(), Actuator::Servo)?;
+/// let mut lanes = ArmLanes::new(&[&arm, &arm, &arm])?;
+/// let commands = [[10.0, 0.0]; ArmLanes::WIDTH];
+/// assert!(lanes.step(&commands, &[true; ArmLanes::WIDTH]));
+/// arm.step([10.0, 0.0])?;
+/// assert_eq!(lanes.state(2), arm.state());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ArmLanes {
+    lanes: Lanes<WIDTH>,
+    count: usize,
+}
+
+impl ArmLanes {
+    /// Number of lanes.
+    pub const WIDTH: usize = WIDTH;
+
+    /// Takes copies of arms, their states and muscle inputs; the instruction set is the first's.
+    /// Parameters and actuators may differ from arm to arm.
+    ///
+    /// # Errors
+    /// [`ParameterError::OutOfRange`] for no arms, more than [`ArmLanes::WIDTH`], or different
+    /// numbers of compartments.
+    pub fn new(arms: &[&Arm]) -> Result<Self, ParameterError> {
+        let refuse = |name: &str, value: usize, range: String| {
+            Err(ParameterError::OutOfRange {
+                name: name.to_owned(),
+                value: value.to_string(),
+                range,
+            })
+        };
+        let Some(first) = arms.first().filter(|_| arms.len() <= WIDTH) else {
+            return refuse("arms", arms.len(), format!("[1, {WIDTH}] arms"));
+        };
+        let compartments = first.parameters().compartments;
+        for arm in arms {
+            if arm.parameters().compartments != compartments {
+                let range = format!("{compartments}, as the first arm's");
+                return refuse("compartments", arm.parameters().compartments, range);
+            }
+        }
+        // Lanes without an arm hold another copy of the first, which never steps.
+        let arm = |lane: usize| arms.get(lane).unwrap_or(first).lane();
+        let mut lanes = Lanes::new(
+            std::array::from_fn(|lane| Arc::clone(arm(lane).parameters(0))),
+            std::array::from_fn(|lane| arm(lane).actuator(0)),
+            first.lane().instructions,
+        );
+        let states: [ArmState; WIDTH] = std::array::from_fn(|lane| arm(lane).state(0));
+        let states: Vec<(usize, &ArmState)> = states.iter().enumerate().collect();
+        lanes.restore_many(&states);
+        for lane in 0..WIDTH {
+            let (longitudinal, transverse) = arm(lane).muscles(0);
+            lanes.set_muscles(lane, &longitudinal, &transverse)?;
+        }
+        Ok(Self { lanes, count: arms.len() })
+    }
+
+    /// Number of arms.
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)]
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// An arm's parameters.
+    #[must_use]
+    pub fn parameters(&self, lane: usize) -> &ArmParameters {
+        self.lanes.parameters(lane)
+    }
+
+    /// How an arm's base follows its command.
+    #[must_use]
+    pub fn actuator(&self, lane: usize) -> Actuator {
+        self.lanes.actuator(lane)
+    }
+
+    /// Number of observed spring lengths of an arm.
+    #[must_use]
+    pub fn observation_len(&self) -> usize {
+        self.lanes.observation_len()
+    }
+
+    /// An arm's complete state.
+    #[must_use]
+    pub fn state(&self, lane: usize) -> ArmState {
+        self.lanes.state(lane)
+    }
+
+    /// Restores an arm's state exactly.
+    ///
+    /// # Errors
+    /// As [`Arm::set_state`]; the arm is then unchanged.
+    pub fn set_state(&mut self, lane: usize, state: &ArmState) -> Result<(), ParameterError> {
+        self.lanes.set_state(lane, state)
+    }
+
+    /// Puts arms into states that these very bodies have been in, without checks.
+    pub fn restore(&mut self, states: &[(usize, &ArmState)]) {
+        self.lanes.restore_many(states);
+    }
+
+    /// An arm's muscle inputs ξ_c and δ_c \[N\], in observation order.
+    #[must_use]
+    pub fn muscles(&self, lane: usize) -> (Vec<f64>, Vec<f64>) {
+        self.lanes.muscles(lane)
+    }
+
+    /// The base angles θ, φ of an arm \[degrees\].
+    #[must_use]
+    pub fn base_degrees(&self, lane: usize) -> [f64; 2] {
+        let [theta, phi, _, _] = self.lanes.base(lane);
+        [theta.to_degrees(), phi.to_degrees()]
+    }
+
+    /// Writes an arm's spring lengths \[m\], index 4 (j − 1) + (i − 1).
+    ///
+    /// # Panics
+    /// If `out` is shorter than [`ArmLanes::observation_len`].
+    pub fn lengths_into(&self, lane: usize, out: &mut [f64]) {
+        self.lanes.lengths_into(lane, out);
+    }
+
+    /// One physics step of the active arms under their commands θ, φ \[degrees\]; the others wait.
+    /// Lanes without an arm never step.
+    ///
+    /// Returns whether every active arm made its step. One whose step would leave the domain keeps
+    /// its state, [`ArmLanes::failure`] says why, and the others are not touched by it.
+    #[must_use]
+    pub fn step(&mut self, commands: &[[f64; 2]; WIDTH], active: &[bool; WIDTH]) -> bool {
+        let mut active = *active;
+        active[self.count..].fill(false);
+        self.lanes.step(commands, &active)
+    }
+
+    /// Why the last step that an arm did not make was refused.
+    #[must_use]
+    pub fn failure(&self, lane: usize) -> Option<DomainError> {
+        self.lanes.failure(lane)
+    }
+}
