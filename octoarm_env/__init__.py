@@ -6,6 +6,7 @@ Importing this package registers ``OctoArm-v0``::
     import octoarm_env
 
     env = gym.make("OctoArm-v0", target="quadratic")
+    envs = gym.make_vec("OctoArm-v0", num_envs=64)
 
 The body without an episode around it is :class:`Arm`, its parameters are :class:`ArmParameters`.
 """
@@ -21,21 +22,27 @@ __path__ = extend_path(__path__, __name__)
 
 from octoarm_env._core import DomainError, instruction_set
 from octoarm_env.arm import Arm, ArmState, Energy
+from octoarm_env.arm_batch import ArmBatch, BatchRun
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.targets import LIMIT_CYCLES, LimitCycle
 from octoarm_env.teacher import TeacherPolicy
+from octoarm_env.vector import OctoArmVectorEnv, VectorSnapshot
 
 __all__ = [
     "LIMIT_CYCLES",
     "Arm",
+    "ArmBatch",
     "ArmParameters",
     "ArmState",
+    "BatchRun",
     "DomainError",
     "Energy",
     "LimitCycle",
     "OctoArmEnv",
+    "OctoArmVectorEnv",
     "TeacherPolicy",
+    "VectorSnapshot",
     "instruction_set",
 ]
 __version__ = version("octoarm-env")
@@ -43,5 +50,6 @@ __version__ = version("octoarm-env")
 register(
     id="OctoArm-v0",
     entry_point="octoarm_env.env:OctoArmEnv",
+    vector_entry_point="octoarm_env.vector:OctoArmVectorEnv",
     max_episode_steps=500,
 )

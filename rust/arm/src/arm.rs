@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::base::{Actuator, BaseMotion};
-use crate::energy::{Energy, energy, plane_centres};
+use crate::energy::{Energy, energy};
 use crate::engine::InstructionSet;
 use crate::equilibrium::static_equilibrium;
 use crate::error::{DomainError, ParameterError};
@@ -196,7 +196,7 @@ impl Arm {
     /// Centres of all planes, base first \[m\].
     #[must_use]
     pub fn positions(&self) -> Vec<[f64; 3]> {
-        plane_centres(&self.state())
+        self.state().positions()
     }
 
     /// Accelerations of all coordinates in the present state under a given motion of the base.
@@ -295,7 +295,23 @@ pub struct LinearReadout {
 impl LinearReadout {
     /// `weightsᵀ lengths + bias` \[degrees\].
     #[must_use]
+    #[allow(unsafe_code)]
     pub fn output(&self, lengths: &[f64]) -> [f64; 2] {
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "fma")]
+        fn fused(readout: &LinearReadout, lengths: &[f64]) -> [f64; 2] {
+            readout.sum(lengths)
+        }
+        #[cfg(target_arch = "x86_64")]
+        if InstructionSet::detected() != InstructionSet::Baseline {
+            // SAFETY: every instruction set above the baseline has FMA.
+            return unsafe { fused(self, lengths) };
+        }
+        self.sum(lengths)
+    }
+
+    #[inline(always)]
+    fn sum(&self, lengths: &[f64]) -> [f64; 2] {
         let mut sum = self.bias;
         for (weight, length) in self.weights.iter().zip(lengths) {
             sum[0] = weight[0].mul_add(*length, sum[0]);

@@ -179,7 +179,7 @@ impl<const L: usize> Engine<L> {
             trigonometry_known: false,
             coordinates: at_rest,
         };
-        engine.refresh_lengths();
+        engine.refresh(InstructionSet::detected(), &());
         engine
     }
 
@@ -217,7 +217,7 @@ impl<const L: usize> Engine<L> {
         )
     }
 
-    /// Sets the state of one lane; call [`Engine::refresh_lengths`] after the last.
+    /// Sets the state of one lane; call [`Engine::refresh`] after the last.
     pub(crate) fn set_state(
         &mut self,
         lane: usize,
@@ -234,7 +234,9 @@ impl<const L: usize> Engine<L> {
         }
     }
 
-    pub(crate) fn refresh_lengths(&mut self) {
+    /// Computes the spring lengths of the present state.
+    #[inline(always)]
+    fn refresh_inline(&mut self, (): &()) {
         for c in 0..self.coordinates.len() {
             spring_lengths::<L>(
                 &self.body,
@@ -455,6 +457,8 @@ dispatched! {
     /// One Runge–Kutta step; `motions` is the bases at its start, middle and end. The new state waits
     /// for [`Engine::accept`]; returns which lanes of it lie in the domain.
     advance => advance_inline([BaseRows<L>; 3]) -> [bool; L];
+    /// Computes the spring lengths of the present state.
+    refresh => refresh_inline(()) -> ();
     /// Accelerations of the present state, one block a chunk.
     evaluate => evaluate_inline(BaseRows<L>) -> Vec<Block>;
 }

@@ -96,7 +96,7 @@ impl<const L: usize> Lanes<L> {
             }
             self.steps[*lane] = state.steps;
         }
-        self.engine.refresh_lengths();
+        self.engine.refresh(self.instructions, &());
     }
 
     /// Puts a lane into a state, which is checked.
@@ -196,15 +196,15 @@ impl<const L: usize> Lanes<L> {
         let motion = self.motion(commands);
         let inside = self.engine.advance(self.instructions, &motion);
         let mut made = *active;
-        let mut complete = true;
-        for lane in 0..L {
-            if active[lane] && !inside[lane] {
+        let complete = (0..L).all(|lane| inside[lane] || !active[lane]) || {
+            for lane in 0..L {
                 // Within rounding of a limit the check in words finds nothing wrong.
-                self.failures[lane] = self.refusal(lane);
-                made[lane] = self.failures[lane].is_none();
-                complete &= made[lane];
+                self.failures[lane] =
+                    if active[lane] && !inside[lane] { self.refusal(lane) } else { None };
+                made[lane] &= self.failures[lane].is_none();
             }
-        }
+            made == *active
+        };
         self.engine.accept_lanes(&made);
         let end = motion[2].state();
         for lane in 0..L {
@@ -218,7 +218,7 @@ impl<const L: usize> Lanes<L> {
         complete
     }
 
-    /// Why the lane's last refused step was refused.
+    /// Why the lane was refused in the last step that was not complete; none if it was not.
     pub(crate) fn failure(&self, lane: usize) -> Option<DomainError> {
         self.failures[lane]
     }
@@ -403,7 +403,7 @@ impl ArmLanes {
         self.lanes.step(commands, &active)
     }
 
-    /// Why the last step that an arm did not make was refused.
+    /// Why an arm was refused in the last step that not all made; none if it made it.
     #[must_use]
     pub fn failure(&self, lane: usize) -> Option<DomainError> {
         self.lanes.failure(lane)

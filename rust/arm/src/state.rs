@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::energy::plane_centres;
 use crate::error::ParameterError;
 use crate::parameters::ArmParameters;
 
@@ -40,6 +41,12 @@ impl ArmState {
             base: [0.0; 4],
             steps: 0,
         }
+    }
+
+    /// Centres of all planes, base first \[m\].
+    #[must_use]
+    pub fn positions(&self) -> Vec<[f64; 3]> {
+        plane_centres(self)
     }
 
     /// Checks that the state fits a body of `compartments` compartments and holds finite numbers.

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use octoarm_arm::{Actuator, Arm, ArmState, ParameterError, Servo};
 
 use crate::config::EpisodeConfig;
+use crate::course::command_at;
 use crate::orbit::Orbit;
 
 /// Time in which the command grows from rest to the full orbit \[s\].
@@ -103,9 +104,7 @@ fn ramp(x: f64) -> f64 {
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 }
 
-/// Moves the arm through one control period under a command in degrees.
-///
-/// A servo takes the command as it is; a base driven `direct` moves there at constant speed.
+/// Moves the arm through one control period under a command in degrees ([`command_at`]).
 ///
 /// # Errors
 /// The domain's, with the arm in its last valid state.
@@ -114,17 +113,9 @@ pub(crate) fn control_step(
     command: [f64; 2],
     physics_steps: u32,
 ) -> Result<(), octoarm_arm::DomainError> {
-    let start = arm.base_degrees();
+    let (actuator, start) = (arm.actuator(), arm.base_degrees());
     for step in 1..=physics_steps {
-        let now = match arm.actuator() {
-            Actuator::Servo => command,
-            Actuator::Direct if step == physics_steps => command,
-            Actuator::Direct => {
-                let share = f64::from(step) / f64::from(physics_steps);
-                [0, 1].map(|axis| start[axis] + share * (command[axis] - start[axis]))
-            }
-        };
-        arm.step(now)?;
+        arm.step(command_at(actuator, start, command, step, physics_steps))?;
     }
     Ok(())
 }

@@ -1,18 +1,18 @@
 //! `_core.Arm`.
 
-use numpy::{IntoPyArray, PyArrayMethods};
+use numpy::IntoPyArray;
 use octoarm_arm::{Actuator, ArmParameters, ArmState, COORDINATES, LinearReadout, check_command};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{Table, Vector, numbers, pairs};
+use crate::arrays::{Table, Vector, numbers, pairs, table};
 use crate::errors::{invalid, left_domain};
 
 /// Steps between two looks at Python's signals.
 const BLOCK: usize = 8192;
 
 /// Coordinates, rates, base and step count of an arm.
-type State<'py> = (Table<'py>, Table<'py>, Vector<'py>, u64);
+pub(crate) type State<'py> = (Table<'py>, Table<'py>, Vector<'py>, u64);
 
 /// One arm; `octoarm_env.Arm` documents it.
 #[pyclass(module = "octoarm_env._core")]
@@ -30,13 +30,44 @@ fn actuator(name: &str) -> PyResult<Actuator> {
     }
 }
 
-fn matrix<'py>(py: Python<'py>, flat: Vec<f64>, columns: usize) -> PyResult<Table<'py>> {
-    let rows = flat.len() / columns;
-    flat.into_pyarray(py).reshape([rows, columns])
-}
-
 fn rows(flat: &[f64]) -> Vec<[f64; COORDINATES]> {
     flat.chunks_exact(COORDINATES).map(|row| std::array::from_fn(|index| row[index])).collect()
+}
+
+/// A state as Python sees it.
+pub(crate) fn state_of(py: Python<'_>, state: ArmState) -> PyResult<State<'_>> {
+    Ok((
+        table(py, state.coordinates.into_flattened(), COORDINATES)?,
+        table(py, state.rates.into_flattened(), COORDINATES)?,
+        state.base.to_vec().into_pyarray(py),
+        state.steps,
+    ))
+}
+
+/// A state from what Python gives for one.
+pub(crate) fn state_from(
+    compartments: usize,
+    coordinates: &Bound<'_, PyAny>,
+    rates: &Bound<'_, PyAny>,
+    base: &Bound<'_, PyAny>,
+    steps: u64,
+) -> PyResult<ArmState> {
+    let shape = [Some(compartments), Some(COORDINATES)];
+    let (coordinates, _) = numbers("state.coordinates", coordinates, &shape)?;
+    let (rates, _) = numbers("state.rates", rates, &shape)?;
+    let (base, _) = numbers("state.base", base, &[Some(4)])?;
+    Ok(ArmState {
+        coordinates: rows(&coordinates),
+        rates: rows(&rates),
+        base: std::array::from_fn(|index| base[index]),
+        steps,
+    })
+}
+
+impl Arm {
+    pub(crate) fn inner(&self) -> &octoarm_arm::Arm {
+        &self.inner
+    }
 }
 
 #[pymethods]
@@ -85,13 +116,13 @@ impl Arm {
             if let Err((step, failure)) = py.detach(|| self.inner.run(block, out)) {
                 done += step;
                 lengths.truncate(done * width);
-                let lengths = matrix(py, lengths, width)?.into_any();
+                let lengths = table(py, lengths, width)?.into_any();
                 return Err(left_domain(py, &failure, done, Some(lengths), None));
             }
             done += block.len();
             py.check_signals()?;
         }
-        matrix(py, lengths, width)
+        table(py, lengths, width)
     }
 
     #[pyo3(signature = (weights, steps, perturbation=None))]
@@ -152,8 +183,8 @@ impl Arm {
         }
         outputs.truncate(done);
         lengths.truncate(done * width);
-        let outputs = matrix(py, outputs.into_flattened(), 2)?;
-        let lengths = matrix(py, lengths, width)?;
+        let outputs = table(py, outputs.into_flattened(), 2)?;
+        let lengths = table(py, lengths, width)?;
         match failed {
             None => Ok((outputs, lengths)),
             Some(failure) => Err(left_domain(
@@ -167,13 +198,7 @@ impl Arm {
     }
 
     fn get_state<'py>(&self, py: Python<'py>) -> PyResult<State<'py>> {
-        let state = self.inner.state();
-        Ok((
-            matrix(py, state.coordinates.into_flattened(), COORDINATES)?,
-            matrix(py, state.rates.into_flattened(), COORDINATES)?,
-            state.base.to_vec().into_pyarray(py),
-            state.steps,
-        ))
+        state_of(py, self.inner.state())
     }
 
     fn set_state(
@@ -183,23 +208,14 @@ impl Arm {
         base: &Bound<'_, PyAny>,
         steps: u64,
     ) -> PyResult<()> {
-        let n = Some(self.inner.parameters().compartments);
-        let table = [n, Some(COORDINATES)];
-        let (coordinates, _) = numbers("state.coordinates", coordinates, &table)?;
-        let (rates, _) = numbers("state.rates", rates, &table)?;
-        let (base, _) = numbers("state.base", base, &[Some(4)])?;
-        let state = ArmState {
-            coordinates: rows(&coordinates),
-            rates: rows(&rates),
-            base: std::array::from_fn(|index| base[index]),
-            steps,
-        };
+        let compartments = self.inner.parameters().compartments;
+        let state = state_from(compartments, coordinates, rates, base, steps)?;
         self.inner.set_state(&state).map_err(invalid)
     }
 
     fn get_muscles<'py>(&self, py: Python<'py>) -> PyResult<(Table<'py>, Table<'py>)> {
         let (longitudinal, transverse) = self.inner.muscles();
-        Ok((matrix(py, longitudinal, 4)?, matrix(py, transverse, 4)?))
+        Ok((table(py, longitudinal, 4)?, table(py, transverse, 4)?))
     }
 
     fn set_muscles(
@@ -207,9 +223,9 @@ impl Arm {
         longitudinal: &Bound<'_, PyAny>,
         transverse: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
-        let table = [Some(self.inner.parameters().compartments), Some(4)];
-        let (longitudinal, _) = numbers("longitudinal", longitudinal, &table)?;
-        let (transverse, _) = numbers("transverse", transverse, &table)?;
+        let shape = [Some(self.inner.parameters().compartments), Some(4)];
+        let (longitudinal, _) = numbers("longitudinal", longitudinal, &shape)?;
+        let (transverse, _) = numbers("transverse", transverse, &shape)?;
         self.inner.set_muscles(&longitudinal, &transverse).map_err(invalid)
     }
 
@@ -220,7 +236,7 @@ impl Arm {
 
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
-        matrix(py, self.inner.positions().into_flattened(), 3)
+        table(py, self.inner.positions().into_flattened(), 3)
     }
 
     #[getter]

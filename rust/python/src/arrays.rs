@@ -1,8 +1,8 @@
 //! Arrays from Python: dtype, shape and finiteness checked by name, copied once.
 
-use numpy::{PyArray1, PyArray2};
 use numpy::{
-    PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+    IntoPyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -55,23 +55,39 @@ pub(crate) fn numbers(
     value: &Bound<'_, PyAny>,
     expected: &[Option<usize>],
 ) -> PyResult<(Vec<f64>, Vec<usize>)> {
+    shaped(name, value, &[expected.to_vec()])
+}
+
+/// [`numbers`] of an array that fits one of several shapes.
+pub(crate) fn shaped(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    expected: &[Vec<Option<usize>>],
+) -> PyResult<(Vec<f64>, Vec<usize>)> {
     let array = as_float64(name, value)?;
     let shape = array.shape().to_vec();
-    let fits = shape.len() == expected.len()
-        && shape
+    let fits = |expected: &Vec<Option<usize>>| {
+        shape.len() == expected.len()
+            && shape
+                .iter()
+                .zip(expected)
+                .all(|(size, wanted)| wanted.is_none_or(|wanted| wanted == *size))
+    };
+    if !expected.iter().any(fits) {
+        let texts: Vec<String> = expected
             .iter()
-            .zip(expected)
-            .all(|(size, wanted)| wanted.is_none_or(|wanted| wanted == *size));
-    if !fits {
-        let wanted: Vec<String> = expected
-            .iter()
-            .map(|size| size.map_or("any".to_owned(), |size| size.to_string()))
+            .map(|expected| {
+                let wanted: Vec<String> = expected
+                    .iter()
+                    .map(|size| size.map_or("any".to_owned(), |size| size.to_string()))
+                    .collect();
+                format!("({}{})", wanted.join(", "), if wanted.len() == 1 { "," } else { "" })
+            })
             .collect();
         return Err(PyValueError::new_err(format!(
-            "{name} has shape {}, expected ({}{})",
+            "{name} has shape {}, expected {}",
             shape_text(&shape),
-            wanted.join(", "),
-            if wanted.len() == 1 { "," } else { "" }
+            texts.join(" or ")
         )));
     }
     let numbers: Vec<f64> = array.as_array().iter().copied().collect();
@@ -92,8 +108,31 @@ pub(crate) fn numbers(
     Ok((numbers, shape))
 }
 
+/// Pairs of neighbouring numbers.
+pub(crate) fn pairs_of(flat: &[f64]) -> Vec<[f64; 2]> {
+    flat.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()
+}
+
 /// Rows of a (T, 2) array.
 pub(crate) fn pairs(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 2]>> {
     let (flat, _) = numbers(name, value, &[None, Some(2)])?;
-    Ok(flat.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect())
+    Ok(pairs_of(&flat))
+}
+
+/// A matrix of numbers in row-major order.
+pub(crate) fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> PyResult<Table<'_>> {
+    let rows = flat.len() / columns;
+    flat.into_pyarray(py).reshape([rows, columns])
+}
+
+/// A number of threads; what is not positive is refused by name.
+pub(crate) fn thread_count(threads: Option<i64>) -> PyResult<Option<usize>> {
+    // Whatever is negative is refused as 0 is, with its own value in the message.
+    threads
+        .map(|threads| {
+            usize::try_from(threads).map_err(|_| {
+                PyValueError::new_err(format!("threads = {threads}: expected a positive number"))
+            })
+        })
+        .transpose()
 }

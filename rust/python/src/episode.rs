@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Table, Vector, numbers};
+use crate::arrays::{Table, Vector, numbers, table};
 use crate::errors::invalid;
 
 /// One environment's episode; `octoarm_env.OctoArmEnv` documents it.
@@ -41,10 +41,6 @@ fn named(name: &str) -> PyResult<TargetName> {
         .map_err(|error| PyValueError::new_err(format!("target = {name:?}: {error}")))
 }
 
-fn table<'py>(py: Python<'py>, rows: &[[f64; 2]]) -> PyResult<Table<'py>> {
-    PyArray1::from_slice(py, rows.as_flattened()).reshape([rows.len(), 2])
-}
-
 /// One turn of a named limit cycle \[degrees\], and its time \[s\].
 #[pyfunction]
 pub(crate) fn limit_cycle_orbit<'py>(
@@ -53,7 +49,7 @@ pub(crate) fn limit_cycle_orbit<'py>(
     amplitude: f64,
 ) -> PyResult<(Table<'py>, f64)> {
     let orbit = Orbit::named(named(name)?, amplitude);
-    Ok((table(py, orbit.table())?, orbit.period()))
+    Ok((table(py, orbit.table().as_flattened().to_vec(), 2)?, orbit.period()))
 }
 
 /// A named limit cycle as the teacher gives it, one row a millisecond \[degrees\].
@@ -65,7 +61,8 @@ pub(crate) fn limit_cycle_signal<'py>(
     steps: usize,
 ) -> PyResult<Table<'py>> {
     let name = named(name)?;
-    table(py, &py.detach(|| Orbit::teacher_signal(name, amplitude, steps)))
+    let signal = py.detach(|| Orbit::teacher_signal(name, amplitude, steps));
+    table(py, signal.into_flattened(), 2)
 }
 
 impl Episode {
@@ -174,13 +171,11 @@ impl Episode {
 
     #[getter]
     fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
-        table(py, self.inner.swing().orbit.table())
+        table(py, self.inner.swing().orbit.table().as_flattened().to_vec(), 2)
     }
 
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
-        let positions = self.inner.arm().positions().into_flattened();
-        let rows = positions.len() / 3;
-        positions.into_pyarray(py).reshape([rows, 3])
+        table(py, self.inner.arm().positions().into_flattened(), 3)
     }
 }

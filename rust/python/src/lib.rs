@@ -1,8 +1,10 @@
 //! Python's view of the arm and the episode: arrays in, arrays out, errors mapped, GIL released.
 
 mod arm;
+mod arm_batch;
 mod arrays;
 mod episode;
+mod episode_batch;
 mod errors;
 
 /// The compiled core of `octoarm_env`; use the typed package around it.
@@ -14,9 +16,13 @@ mod _core {
     #[pymodule_export]
     use crate::arm::Arm;
     #[pymodule_export]
+    use crate::arm_batch::ArmBatch;
+    #[pymodule_export]
     use crate::episode::Episode;
     #[pymodule_export]
     use crate::episode::{limit_cycle_orbit, limit_cycle_signal};
+    #[pymodule_export]
+    use crate::episode_batch::EpisodeBatch;
     #[pymodule_export]
     use crate::errors::DomainError;
     use crate::errors::invalid;

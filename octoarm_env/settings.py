@@ -1,0 +1,112 @@
+"""What `gym.make` and `gym.make_vec` take, checked and written as the physics reads it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from octoarm_env.parameters import ArmParameters
+from octoarm_env.targets import TARGET_NAMES
+
+__all__ = ["episode_settings", "number", "phase_option", "refuse_rendering"]
+
+
+def episode_settings(
+    target: Any,
+    amplitude: Any,
+    control_period: Any,
+    actuator: Any,
+    arm: Any,
+    action_range: Any,
+    tracking_weight: Any,
+    reward_width: Any,
+    action_change_weight: Any,
+) -> str:
+    """Give the settings of one environment as JSON text.
+
+    Raises:
+        ValueError, TypeError: naming the argument, its value and what is allowed. Ranges are
+            checked by the physics, when it reads the text.
+    """
+    return json.dumps(
+        {
+            "target": _target(target),
+            "amplitude": number("amplitude", amplitude, optional=True),
+            "control_period": number("control_period", control_period),
+            "actuator": _actuator(actuator),
+            "arm": _parameters(arm).to_dict(),
+            "action_range": number("action_range", action_range, optional=True),
+            "tracking_weight": number("tracking_weight", tracking_weight),
+            "reward_width": number("reward_width", reward_width),
+            "action_change_weight": number("action_change_weight", action_change_weight),
+        }
+    )
+
+
+def refuse_rendering(render_mode: Any) -> None:
+    """Raise a TypeError for any render mode, as for an argument that does not exist.
+
+    stable-baselines3's `make_vec_env` asks for "rgb_array" and falls back on that error.
+    """
+    if render_mode is not None:
+        raise TypeError(f"render_mode = {render_mode!r}: only None is supported")
+
+
+def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
+    """Give the phase among reset options; options other than "phase" and `others` are refused."""
+    if not options:
+        return None
+    unknown = sorted(set(options) - {"phase", *others})
+    if unknown:
+        known = " and ".join(repr(name) for name in ("phase", *others))
+        verb = "are" if others else "is"
+        raise ValueError(f"unknown reset options {unknown}; known {verb} {known}")
+    if "phase" not in options:
+        return None
+    return number("options['phase']", options["phase"])
+
+
+def number(name: str, value: Any, *, optional: bool = False) -> float | None:
+    """Give a finite number, or None where that is allowed."""
+    if value is None and optional:
+        return None
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise TypeError(f"{name} = {value!r}: expected a number")
+    result = float(value)
+    if not np.isfinite(result):
+        raise ValueError(f"{name} = {result}: expected a finite number")
+    return result
+
+
+def _actuator(value: Any) -> str:
+    if value not in ("servo", "direct"):
+        raise ValueError(f"actuator = {value!r}: expected 'servo' or 'direct'")
+    return str(value)
+
+
+def _parameters(value: Any) -> ArmParameters:
+    if value is None:
+        return ArmParameters()
+    if not isinstance(value, ArmParameters):
+        raise TypeError(f"arm must be an ArmParameters, not {type(value).__name__}")
+    return value
+
+
+def _target(value: Any) -> str | list[list[float]]:
+    if isinstance(value, str):
+        if value not in TARGET_NAMES:
+            raise ValueError(
+                f"target = {value!r}: expected one of {TARGET_NAMES} or an array (T, 2)"
+            )
+        return value
+    samples = np.asarray(value)
+    if samples.dtype.kind not in "fiu":
+        raise TypeError(f"target must be a name or an array of numbers, not dtype {samples.dtype}")
+    if samples.ndim != 2 or samples.shape[1] != 2:
+        raise ValueError(f"target has shape {samples.shape}, expected (T, 2)")
+    if not np.isfinite(samples).all():
+        raise ValueError("target holds numbers that are not finite")
+    rows: list[list[float]] = samples.astype(np.float64).tolist()
+    return rows

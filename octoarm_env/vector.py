@@ -1,0 +1,376 @@
+"""Many environments ``OctoArm-v0`` at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_differing_spaces, batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from octoarm_env import _core
+from octoarm_env.env import OctoArmEnv
+from octoarm_env.parameters import ArmParameters
+from octoarm_env.settings import episode_settings, phase_option, refuse_rendering
+from octoarm_env.targets import TargetName
+
+Float = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_AUTORESET = {
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.SAME_STEP: "same_step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class VectorSnapshot:
+    """Everything that a vector environment needs to go on; made by its `snapshot`.
+
+    Attributes:
+        episodes: the episodes' states as JSON text, exact to the bit.
+        seeds: the seeds that the environments were last given.
+    """
+
+    episodes: str = dataclasses.field(repr=False)
+    seeds: tuple[int | None, ...]
+
+
+class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[Any]]):
+    """The native batch of environments ``OctoArm-v0``: what ``gym.make_vec`` makes.
+
+    Sub-environment i is an :class:`octoarm_env.OctoArmEnv` with a time limit: spaces, rewards,
+    starting states, ends and infos are documented there, and everything returned has the very bits
+    that ``gymnasium.vector.SyncVectorEnv`` of single environments returns. But the whole episode is
+    computed by the physics, eight arms in the lanes of vector instructions, the groups of eight
+    shared by threads; neither changes a result. An arm that leaves its domain ends its own episode
+    and disturbs no other.
+
+    Args:
+        num_envs: number of environments N, at least 1.
+        target: as in `OctoArmEnv`, for all; or a sequence of N of them.
+        amplitude: as in `OctoArmEnv`, for all; or a sequence of N of them.
+        control_period: as in `OctoArmEnv`.
+        actuator: as in `OctoArmEnv`.
+        arm: the body of all; or a sequence of N bodies with one number of compartments.
+        action_range: as in `OctoArmEnv`.
+        tracking_weight: as in `OctoArmEnv`.
+        reward_width: as in `OctoArmEnv`.
+        action_change_weight: as in `OctoArmEnv`.
+        render_mode: only None yet.
+        max_episode_steps: steps after which an episode is truncated; None or -1: never.
+        autoreset_mode: what happens when an episode has ended, a ``gymnasium.vector.AutoresetMode``
+            or its value: NEXT_STEP, the next step ignores the action and begins a new episode;
+            SAME_STEP, the step that ends the episode begins the next one, the end being in the
+            infos ``final_obs`` and ``final_info``; DISABLED,
+            ``reset(options={"reset_mask": mask})`` must follow, and a step before it is an error.
+        threads: threads that share a step, the calling one included; None: as many as the processor
+            runs at once.
+
+    Raises:
+        ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
+
+    ``pickle`` and ``copy.deepcopy`` continue the whole batch exactly where it stands, and so does
+    :meth:`restore` of a :meth:`snapshot`.
+    """
+
+    metadata: dict[str, Any]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        target: TargetName | ArrayLike | Sequence[TargetName | ArrayLike] = "quadratic",
+        amplitude: float | Sequence[float | None] | Float | None = None,
+        control_period: float = 0.01,
+        actuator: Literal["servo", "direct"] = "servo",
+        arm: ArmParameters | Sequence[ArmParameters] | None = None,
+        action_range: float | None = None,
+        tracking_weight: float = 1.0,
+        reward_width: float = 0.3,
+        action_change_weight: float = 0.01,
+        render_mode: None = None,
+        *,
+        max_episode_steps: int | None = 500,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+    ) -> None:
+        refuse_rendering(render_mode)
+        self.num_envs = _count("num_envs", num_envs)
+        self.render_mode = render_mode
+        mode = AutoresetMode(autoreset_mode)
+        self.metadata = OctoArmEnv.metadata | {"autoreset_mode": mode}
+        columns = zip(
+            _per_env("target", target, self.num_envs, _is_list_of_targets(target)),
+            _per_env("amplitude", amplitude, self.num_envs, _is_sequence(amplitude)),
+            _per_env("arm", arm, self.num_envs, _is_sequence(arm)),
+            strict=True,
+        )
+        others = (action_range, tracking_weight, reward_width, action_change_weight)
+        known: dict[tuple[int, Any, int], str] = {}
+        settings = []
+        for one_target, one_amplitude, body in columns:
+            # Arguments are mostly the same for all, and checking a body takes a while.
+            key = (id(one_target), one_amplitude, id(body))
+            if key not in known:
+                known[key] = episode_settings(
+                    one_target, one_amplitude, control_period, actuator, body, *others
+                )
+            settings.append(known[key])
+        if max_episode_steps == -1:
+            max_episode_steps = None
+        elif max_episode_steps is not None:
+            max_episode_steps = _count("max_episode_steps", max_episode_steps)
+        self._arguments = (settings, max_episode_steps, _AUTORESET[mode], threads)
+        self._core = _core.EpisodeBatch(*self._arguments)
+        self._seeds: list[int | None] = [None] * self.num_envs
+        self._attributes: dict[str, list[Any]] = {}
+
+        bounds = self._core.observation_bounds
+        shape = (self._core.observation_len,)
+        self.single_observation_space = spaces.Box(*bounds[0], shape, np.float64)
+        self.observation_space = (
+            batch_space(self.single_observation_space, self.num_envs)
+            if len(set(bounds)) == 1
+            else batch_differing_spaces([spaces.Box(*each, shape, np.float64) for each in bounds])
+        )
+        self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Float, dict[str, Any]]:
+        """Begin episodes on the orbit.
+
+        Args:
+            seed: starts the generators of phases anew: of sub-environment i with ``seed + i``, or
+                from a list, in which None goes on with the present generator.
+            options: ``"reset_mask"``, a bool array (N,) with at least one True, resets only those
+                environments; ``"phase"`` begins at that phase of the target, in turns from 0 to 1.
+
+        Returns:
+            The spring lengths of all environments, (N, 80) [m], and the infos of those reset.
+
+        Raises:
+            ValueError, TypeError: a bad seed, mask or phase, or an unknown option; nothing is
+                changed then.
+        """
+        phase = phase_option(options, "reset_mask")
+        mask = self._mask(options)
+        seeds = self._given_seeds(seed)
+        for index, (given, present) in enumerate(zip(seeds, self._seeds, strict=True)):
+            if given is None and present is None and (mask is None or mask[index]):
+                seeds[index] = int(self.np_random.integers(2**63))
+        result = self._core.reset(
+            None if mask is None else mask.tolist(),
+            # As in a single environment, whose generator takes 64 bits.
+            [None if given is None else given % 2**64 for given in seeds],
+            phase,
+        )
+        for index, given in enumerate(seeds):
+            if given is not None and (mask is None or mask[index]):
+                self._seeds[index] = given
+        return result
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Float, Float, Flags, Flags, dict[str, Any]]:
+        """Turn every base for one control period.
+
+        Args:
+            actions: (N, 2), each entry in [-1, 1]; ignored where the step begins a new episode, but
+                checked there too.
+
+        Returns:
+            Observations (N, 80) [m], rewards (N,), terminations (N,), truncations (N,), infos;
+            fresh arrays every time.
+
+        Raises:
+            ValueError, TypeError: actions of another shape or dtype, an entry that is not a finite
+                number in [-1, 1], a step before `reset`, or, in DISABLED mode, after the end of an
+                episode; nothing is changed then.
+        """
+        return self._core.step(actions)
+
+    def snapshot(self) -> VectorSnapshot:
+        """Save the whole batch, to go on from here later."""
+        return VectorSnapshot(self._core.save(), tuple(self._seeds))
+
+    def restore(self, snapshot: VectorSnapshot) -> None:
+        """Go on exactly where a batch with the same arguments was saved.
+
+        Raises:
+            ValueError, TypeError: something else than a snapshot, or one of another batch; nothing
+                is changed then.
+        """
+        if not isinstance(snapshot, VectorSnapshot):
+            kind = type(snapshot).__name__
+            raise TypeError(f"snapshot must be a VectorSnapshot, not {kind}")
+        self._core.load(snapshot.episodes)
+        self._seeds = list(snapshot.seeds)
+
+    def teacher_actions(self) -> Float:
+        """Give the lead-compensated clocks' actions now, (N, 2); they depend on the time alone."""
+        return self._core.teacher_actions()
+
+    @property
+    def threads(self) -> int:
+        """Number of threads that share a step, the calling one included."""
+        return self._core.threads
+
+    @property
+    def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
+        """The seeds that the environments were last given, or have drawn; None before that."""
+        return tuple(self._seeds)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of all environments (`teacher_action`, `render`), or get an attribute.
+
+        Returns:
+            One result an environment.
+        """
+        return self.call_at(range(self.num_envs), name, *args, **kwargs)
+
+    def call_at(
+        self, indices: Iterable[int], name: str, *args: Any, **kwargs: Any
+    ) -> tuple[Any, ...]:
+        """Do as :meth:`call` for some of the environments."""
+        if name == "render":
+            return tuple(None for _ in indices)
+        if name == "teacher_action":
+            actions = self._core.teacher_actions()
+            return tuple(actions[index].copy() for index in indices)
+        values = self.get_attr(name)
+        chosen = (values[index] for index in indices)
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in chosen)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Get an attribute of every environment, by its name in `OctoArmEnv`.
+
+        Raises:
+            AttributeError: environments have no such attribute.
+        """
+        if name in self._attributes:
+            return tuple(self._attributes[name])
+        core, count = self._core, self.num_envs
+        each: dict[str, Callable[[], Iterable[Any]]] = {
+            "action_range": core.action_ranges.tolist,
+            "amplitude": core.amplitudes.tolist,
+            "arm_positions": lambda: map(core.positions, range(count)),
+            "np_random_seed": lambda: self.np_random_seed,
+            "orbit": lambda: core.orbit_tables,
+            "period": core.periods.tolist,
+        }
+        shared: dict[str, Any] = {
+            "action_space": self.single_action_space,
+            "metadata": OctoArmEnv.metadata,
+            "observation_space": self.single_observation_space,
+            "render_mode": self.render_mode,
+            "spec": self.spec,
+        }
+        if name in each:
+            return tuple(each[name]())
+        if name in shared:
+            return (shared[name],) * count
+        raise AttributeError(f"OctoArm-v0 environments have no attribute {name!r}")
+
+    def set_attr(self, name: str, values: list[Any] | tuple[Any, ...] | Any) -> None:
+        """Give every environment an attribute of your own: one value for all, or a list of N.
+
+        Raises:
+            AttributeError: an attribute that cannot be changed.
+            ValueError: a list of another length.
+        """
+        if name not in self._attributes and hasattr(OctoArmEnv, name):
+            raise AttributeError(f"{name} of OctoArm-v0 environments cannot be changed")
+        if not isinstance(values, list | tuple):
+            values = [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ValueError(f"values has {len(values)} entries, expected {self.num_envs}")
+        self._attributes[name] = list(values)
+
+    def render(self) -> None:
+        """Do nothing: there are no render modes yet."""
+
+    def _mask(self, options: dict[str, Any] | None) -> Flags | None:
+        if not options or "reset_mask" not in options:
+            return None
+        mask, name = options["reset_mask"], "options['reset_mask']"
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            found = f"dtype {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise TypeError(f"{name} must be an array of bool, not {found}")
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"{name} has shape {mask.shape}, expected ({self.num_envs},)")
+        if not mask.any():
+            raise ValueError(f"{name} has no True: expected at least one environment to reset")
+        return mask
+
+    def _given_seeds(self, seed: Any) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if _is_sequence(seed):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"seed has {len(seed)} entries, expected {self.num_envs}")
+            return [
+                None if each is None else _seed(f"seed[{index}]", each)
+                for index, each in enumerate(seed)
+            ]
+        first = _seed("seed", seed)
+        return [first + index for index in range(self.num_envs)]
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        state["_core"] = state["_core"].save()
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._core = _core.EpisodeBatch(*self._arguments)
+        self._core.load(state["_core"])
+
+
+def _integer(name: str, value: Any, wanted: str, least: int) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} = {value!r}: expected {wanted}") from None
+    if isinstance(value, bool) or number < least:
+        raise ValueError(f"{name} = {value}: expected {wanted}")
+    return number
+
+
+def _count(name: str, value: Any) -> int:
+    return _integer(name, value, "a positive whole number", 1)
+
+
+def _seed(name: str, value: Any) -> int:
+    return _integer(name, value, "a whole number, 0 or more", 0)
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
+
+
+def _is_list_of_targets(target: Any) -> bool:
+    """Whether this is a sequence of targets; a (T, 2) nesting of numbers is one target."""
+    return isinstance(target, list | tuple) and any(
+        isinstance(each, str) or np.ndim(each) == 2 for each in target
+    )
+
+
+def _per_env(name: str, value: Any, count: int, several: bool) -> list[Any]:
+    """One value an environment."""
+    if not several:
+        return [value] * count
+    if len(value) != count:
+        raise ValueError(f"{name} has {len(value)} entries, expected one or {count} (num_envs)")
+    return list(value)

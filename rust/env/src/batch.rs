@@ -1,0 +1,486 @@
+//! Many episodes at once: eight arms in the lanes of a group, the groups shared by threads.
+//!
+//! Every episode has the very bits that [`crate::Episode`] gives, whatever stands beside it and
+//! however many threads there are.
+
+use std::sync::Arc;
+
+use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, ParameterError, domain};
+use serde::{Deserialize, Serialize};
+
+use crate::config::EpisodeConfig;
+use crate::course::{Course, EpisodeState, Outcome, check_action, command_at, not_running};
+use crate::swing::Swing;
+use crate::workers::Workers;
+
+const WIDTH: usize = ArmLanes::WIDTH;
+
+/// What happens when an episode has ended (Gymnasium's `AutoresetMode`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Autoreset {
+    /// The next step ignores the action and begins a new episode.
+    NextStep,
+    /// The step that ends the episode begins the next one.
+    SameStep,
+    /// Only a reset begins a new one; a step before that is an error.
+    Disabled,
+}
+
+/// The end of an episode whose place was taken by the next one within the same step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Last {
+    /// The last spring lengths \[m\].
+    pub observation: Vec<f64>,
+    /// What the last step brought.
+    pub outcome: Outcome,
+}
+
+/// What a step of all episodes brought, an entry an episode.
+#[derive(Clone, Debug)]
+pub struct BatchStep {
+    /// Spring lengths \[m\], [`EpisodeBatch::observation_len`] an episode.
+    pub observations: Vec<f64>,
+    /// Rewards; 0 where the step began a new episode.
+    pub rewards: Vec<f64>,
+    /// Whether the arm left its domain.
+    pub terminated: Vec<bool>,
+    /// Whether the episode's time is over.
+    pub truncated: Vec<bool>,
+    /// What the observations belong to.
+    pub outcomes: Vec<Outcome>,
+    /// The ends of episodes that were replaced, with [`Autoreset::SameStep`].
+    pub lasts: Vec<Option<Last>>,
+}
+
+/// What a reset brought, an entry an episode.
+#[derive(Clone, Debug)]
+pub struct BatchReset {
+    /// Spring lengths \[m\] of all episodes, reset or not.
+    pub observations: Vec<f64>,
+    /// Of those that were reset.
+    pub outcomes: Vec<Option<Outcome>>,
+}
+
+/// An episode's place in the batch.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Seat {
+    /// Steps since the reset.
+    elapsed: u32,
+    /// Whether there was a reset at all.
+    begun: bool,
+    /// Whether the episode has ended and waits for a reset.
+    ended: bool,
+}
+
+impl Seat {
+    const EMPTY: Self = Self { elapsed: 0, begun: false, ended: false };
+    const BEGUN: Self = Self { elapsed: 0, begun: true, ended: false };
+}
+
+/// Everything a batch needs to go on exactly where it was saved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BatchState {
+    episodes: Vec<EpisodeState>,
+    seats: Vec<Seat>,
+}
+
+/// Up to eight episodes.
+#[derive(Debug)]
+struct Group {
+    lanes: ArmLanes,
+    courses: Vec<Course>,
+    seats: Vec<Seat>,
+}
+
+/// Where a group writes, and what it is told.
+struct Errand<'a> {
+    group: &'a mut Group,
+    actions: &'a [[f64; 2]],
+    observations: &'a mut [f64],
+    rewards: &'a mut [f64],
+    terminated: &'a mut [bool],
+    truncated: &'a mut [bool],
+    outcomes: &'a mut [Option<Outcome>],
+    lasts: &'a mut [Option<Last>],
+}
+
+/// Many arms that each follow a target of their own.
+#[derive(Debug)]
+pub struct EpisodeBatch {
+    groups: Vec<Group>,
+    count: usize,
+    max_episode_steps: Option<u32>,
+    autoreset: Autoreset,
+    workers: Workers,
+}
+
+impl Group {
+    fn new(courses: Vec<Course>) -> Result<Self, ParameterError> {
+        let arms: Vec<&Arm> = courses.iter().map(|course| &course.swing().arm).collect();
+        let lanes = ArmLanes::new(&arms)?;
+        Ok(Self { lanes, seats: vec![Seat::EMPTY; courses.len()], courses })
+    }
+
+    /// Begins episodes at snapshots, given as (lane, snapshot).
+    fn begin(&mut self, starts: &[(usize, usize)]) {
+        if starts.is_empty() {
+            return;
+        }
+        let states: Vec<(usize, &ArmState)> = starts
+            .iter()
+            .map(|(lane, snapshot)| (*lane, self.courses[*lane].start(*snapshot)))
+            .collect();
+        self.lanes.restore(&states);
+        for (lane, snapshot) in starts {
+            self.courses[*lane].begin(*snapshot);
+            self.seats[*lane] = Seat::BEGUN;
+        }
+    }
+
+    /// One control period of the active lanes; says why a lane did not come to its end.
+    fn advance(
+        &mut self,
+        actions: &[[f64; 2]],
+        active: &[bool; WIDTH],
+    ) -> [Option<DomainError>; WIDTH] {
+        let mut failures = [None; WIDTH];
+        let mut starts = [[0.0; 2]; WIDTH];
+        let mut goals = [[0.0; 2]; WIDTH];
+        let mut steps = [0; WIDTH];
+        for (lane, course) in self.courses.iter().enumerate() {
+            if active[lane] {
+                starts[lane] = self.lanes.base_degrees(lane);
+                goals[lane] = course.command(actions[lane]);
+                steps[lane] = course.physics_steps();
+            }
+        }
+        let mut commands = [[0.0; 2]; WIDTH];
+        for step in 1..=steps.into_iter().max().unwrap_or(0) {
+            let mut moves = [false; WIDTH];
+            for lane in 0..self.courses.len() {
+                moves[lane] = step <= steps[lane] && failures[lane].is_none();
+                let actuator = self.lanes.actuator(lane);
+                commands[lane] = command_at(actuator, starts[lane], goals[lane], step, steps[lane]);
+            }
+            if !self.lanes.step(&commands, &moves) {
+                for lane in 0..self.courses.len() {
+                    // A lane that has failed before does not move any more.
+                    if moves[lane] {
+                        failures[lane] = self.lanes.failure(lane);
+                    }
+                }
+            }
+        }
+        failures
+    }
+}
+
+impl Errand<'_> {
+    /// A step of the whole group.
+    fn run(self, autoreset: Autoreset, max_episode_steps: Option<u32>, width: usize) {
+        let Self { group, actions, observations, rewards, terminated, truncated, outcomes, lasts } =
+            self;
+        let count = group.courses.len();
+        let mut active = [false; WIDTH];
+        let mut starts = Vec::new();
+        for lane in 0..count {
+            active[lane] = !group.seats[lane].ended;
+            if !active[lane] {
+                starts.push((lane, group.courses[lane].draw()));
+            }
+        }
+        group.begin(&starts);
+        let failures = group.advance(actions, &active);
+
+        let mut starts = Vec::new();
+        for lane in 0..count {
+            let base = group.lanes.base_degrees(lane);
+            let course = &mut group.courses[lane];
+            if !active[lane] {
+                outcomes[lane] = Some(course.first_outcome(base));
+                continue;
+            }
+            let outcome = course.finish(actions[lane], base, failures[lane]);
+            let seat = &mut group.seats[lane];
+            seat.elapsed = seat.elapsed.saturating_add(1);
+            rewards[lane] = outcome.terms.total();
+            terminated[lane] = outcome.failure.is_some();
+            truncated[lane] = max_episode_steps.is_some_and(|most| seat.elapsed >= most);
+            seat.ended = terminated[lane] || truncated[lane];
+            outcomes[lane] = Some(outcome);
+            if seat.ended && autoreset == Autoreset::SameStep {
+                let mut observation = vec![0.0; width];
+                group.lanes.lengths_into(lane, &mut observation);
+                lasts[lane] = Some(Last { observation, outcome });
+                starts.push((lane, course.draw()));
+            }
+        }
+        group.begin(&starts);
+        for (lane, _) in starts {
+            let base = group.lanes.base_degrees(lane);
+            outcomes[lane] = Some(group.courses[lane].first_outcome(base));
+        }
+        for (lane, row) in observations.chunks_exact_mut(width).enumerate() {
+            group.lanes.lengths_into(lane, row);
+        }
+    }
+}
+
+impl EpisodeBatch {
+    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration.
+    ///
+    /// An episode is truncated after `max_episode_steps` steps. `threads` share the work, the calling
+    /// one included; without a number, as many as the processor runs at once.
+    ///
+    /// # Errors
+    /// [`ParameterError`] that names the setting, its value and its range; different numbers of
+    /// compartments are refused too.
+    pub fn new(
+        configs: Vec<EpisodeConfig>,
+        max_episode_steps: Option<u32>,
+        autoreset: Autoreset,
+        threads: Option<usize>,
+    ) -> Result<Self, ParameterError> {
+        let refuse = |name: &str, value: String, range: &str| {
+            let (name, range) = (name.to_owned(), range.to_owned());
+            Err(ParameterError::OutOfRange { name, value, range })
+        };
+        let workers = Workers::new(threads)?;
+        if max_episode_steps == Some(0) {
+            return refuse("max_episode_steps", "0".to_owned(), "of positive numbers");
+        }
+        let count = configs.len();
+        if count == 0 {
+            return refuse("num_envs", "0".to_owned(), "of positive numbers");
+        }
+        let compartments = configs[0].arm.compartments;
+        if let Some(other) = configs.iter().find(|other| other.arm.compartments != compartments) {
+            return refuse(
+                "arm.compartments",
+                other.arm.compartments.to_string(),
+                "of one number for all environments",
+            );
+        }
+        let mut courses: Vec<Course> = Vec::with_capacity(count);
+        for config in configs {
+            let course = match courses.last() {
+                Some(before) if *before.config() == config => before.clone(),
+                _ => Course::new(Arc::new(config))?,
+            };
+            courses.push(course);
+        }
+        let mut groups = Vec::with_capacity(count.div_ceil(WIDTH));
+        let mut courses = courses.into_iter();
+        while groups.len() * WIDTH < count {
+            groups.push(Group::new(courses.by_ref().take(WIDTH).collect())?);
+        }
+        Ok(Self { groups, count, max_episode_steps, autoreset, workers })
+    }
+
+    /// Number of episodes.
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)]
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Number of threads that share a step.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        self.workers.threads()
+    }
+
+    /// Number of spring lengths of an arm.
+    #[must_use]
+    pub fn observation_len(&self) -> usize {
+        self.groups[0].lanes.observation_len()
+    }
+
+    fn courses(&self) -> impl Iterator<Item = &Course> {
+        self.groups.iter().flat_map(|group| &group.courses)
+    }
+
+    /// Bounds of the observed spring lengths \[m\] of every episode: the domain's own.
+    #[must_use]
+    pub fn observation_bounds(&self) -> Vec<(f64, f64)> {
+        let (low, high) = domain::SPRING_LENGTH;
+        self.courses()
+            .map(|course| course.config().arm.rest_length)
+            .map(|length| (low * length, high * length))
+            .collect()
+    }
+
+    /// Base angles of an action of 1 \[degrees\].
+    #[must_use]
+    pub fn action_ranges(&self) -> Vec<f64> {
+        self.courses().map(Course::action_range).collect()
+    }
+
+    /// The swing whose snapshots an episode begins from.
+    #[must_use]
+    pub fn swing(&self, index: usize) -> &Swing {
+        self.groups[index / WIDTH].courses[index % WIDTH].swing()
+    }
+
+    /// The teachers' actions now.
+    #[must_use]
+    pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
+        self.courses().map(Course::teacher_action).collect()
+    }
+
+    /// An arm's complete state.
+    #[must_use]
+    pub fn arm_state(&self, index: usize) -> ArmState {
+        self.groups[index / WIDTH].lanes.state(index % WIDTH)
+    }
+
+    /// Begins new episodes: of all, or of those in the mask. A seed starts an episode's generator
+    /// anew; without a phase (in turns of the target, 0 to 1) it is drawn.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for a phase outside [0, 1] or another number of seeds or entries in the mask
+    /// than of episodes; nothing is changed then.
+    pub fn reset(
+        &mut self,
+        mask: Option<&[bool]>,
+        seeds: &[Option<u64>],
+        phase: Option<f64>,
+    ) -> Result<BatchReset, ParameterError> {
+        self.check_len("seed", seeds.len())?;
+        if let Some(mask) = mask {
+            self.check_len("reset_mask", mask.len())?;
+        }
+        if let Some(phase) = phase {
+            self.groups[0].courses[0].nearest(phase)?;
+        }
+        let width = self.observation_len();
+        let mut observations = vec![0.0; self.count * width];
+        let mut outcomes = vec![None; self.count];
+        for (index, group) in self.groups.iter_mut().enumerate() {
+            let first = index * WIDTH;
+            let mut starts = Vec::new();
+            for (lane, course) in group.courses.iter_mut().enumerate() {
+                if mask.is_some_and(|mask| !mask[first + lane]) {
+                    continue;
+                }
+                if let Some(seed) = seeds[first + lane] {
+                    course.seed(seed);
+                }
+                starts.push(match phase {
+                    None => (lane, course.draw()),
+                    Some(phase) => (lane, course.nearest(phase)?),
+                });
+            }
+            group.begin(&starts);
+            for (lane, _) in starts {
+                let base = group.lanes.base_degrees(lane);
+                outcomes[first + lane] = Some(group.courses[lane].first_outcome(base));
+            }
+            for lane in 0..group.courses.len() {
+                let begin = (first + lane) * width;
+                group.lanes.lengths_into(lane, &mut observations[begin..begin + width]);
+            }
+        }
+        Ok(BatchReset { observations, outcomes })
+    }
+
+    /// One control period of all episodes, each entry of an action in [−1, 1].
+    ///
+    /// # Errors
+    /// [`ParameterError`] for another number of actions than of episodes, an action outside its
+    /// bounds, or an episode that was never reset (or, without autoreset, has ended); nothing is
+    /// changed then.
+    pub fn step(&mut self, actions: &[[f64; 2]]) -> Result<BatchStep, ParameterError> {
+        self.check_len("actions", actions.len())?;
+        for (index, action) in actions.iter().enumerate() {
+            check_action(*action, |axis| format!("actions[{index}, {axis}]"))?;
+        }
+        let seats = self.groups.iter().flat_map(|group| &group.seats);
+        for (index, seat) in seats.enumerate() {
+            if !seat.begun || (seat.ended && self.autoreset == Autoreset::Disabled) {
+                return Err(not_running(format!("step of environment {index}")));
+            }
+        }
+        let (count, width) = (self.count, self.observation_len());
+        let mut observations = vec![0.0; count * width];
+        let mut rewards = vec![0.0; count];
+        let mut terminated = vec![false; count];
+        let mut truncated = vec![false; count];
+        let mut outcomes = vec![None; count];
+        let mut lasts = vec![None; count];
+        let errands: Vec<Errand<'_>> = self
+            .groups
+            .iter_mut()
+            .zip(actions.chunks(WIDTH))
+            .zip(observations.chunks_mut(WIDTH * width))
+            .zip(rewards.chunks_mut(WIDTH))
+            .zip(terminated.chunks_mut(WIDTH).zip(truncated.chunks_mut(WIDTH)))
+            .zip(outcomes.chunks_mut(WIDTH).zip(lasts.chunks_mut(WIDTH)))
+            .map(|(((((group, actions), observations), rewards), ends), reports)| Errand {
+                group,
+                actions,
+                observations,
+                rewards,
+                terminated: ends.0,
+                truncated: ends.1,
+                outcomes: reports.0,
+                lasts: reports.1,
+            })
+            .collect();
+        let (autoreset, most) = (self.autoreset, self.max_episode_steps);
+        self.workers.for_each(errands, |errand| errand.run(autoreset, most, width));
+        let outcomes = outcomes.into_iter().flatten().collect();
+        Ok(BatchStep { observations, rewards, terminated, truncated, outcomes, lasts })
+    }
+
+    fn check_len(&self, name: &str, found: usize) -> Result<(), ParameterError> {
+        if found == self.count {
+            return Ok(());
+        }
+        Err(ParameterError::Shape {
+            name: name.to_owned(),
+            found: format!("({found},)"),
+            expected: format!("({},)", self.count),
+        })
+    }
+
+    /// Saves everything the episodes need to go on.
+    #[must_use]
+    pub fn state(&self) -> BatchState {
+        let mut state = BatchState { episodes: Vec::new(), seats: Vec::new() };
+        for group in &self.groups {
+            for (lane, course) in group.courses.iter().enumerate() {
+                state.episodes.push(course.state(group.lanes.state(lane)));
+            }
+            state.seats.extend(&group.seats);
+        }
+        state
+    }
+
+    /// Goes on exactly where a batch of the same settings was saved.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for a state that does not fit; nothing is changed then.
+    pub fn set_state(&mut self, state: &BatchState) -> Result<(), ParameterError> {
+        self.check_len("state.episodes", state.episodes.len())?;
+        self.check_len("state.seats", state.seats.len())?;
+        let before: Vec<ArmState> = (0..self.count).map(|index| self.arm_state(index)).collect();
+        let restored = state.episodes.iter().enumerate().try_for_each(|(index, episode)| {
+            self.groups[index / WIDTH].lanes.set_state(index % WIDTH, &episode.arm)
+        });
+        if let Err(error) = restored {
+            for (index, state) in before.iter().enumerate() {
+                self.groups[index / WIDTH].lanes.restore(&[(index % WIDTH, state)]);
+            }
+            return Err(error);
+        }
+        for (index, (episode, seat)) in state.episodes.iter().zip(&state.seats).enumerate() {
+            let group = &mut self.groups[index / WIDTH];
+            group.courses[index % WIDTH].set_state(episode);
+            group.seats[index % WIDTH] = *seat;
+        }
+        Ok(())
+    }
+}

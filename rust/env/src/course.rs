@@ -1,0 +1,254 @@
+//! The rules of an episode apart from the arm that it moves: what is commanded, earned and drawn.
+
+use std::sync::Arc;
+
+use octoarm_arm::{Actuator, ArmState, DomainError, ParameterError};
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use crate::config::EpisodeConfig;
+use crate::reward::{Reward, RewardTerms};
+use crate::swing::{Snapshot, Swing};
+
+/// What a step brought, beside the spring lengths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// The terms of the reward; their sum is the reward.
+    pub terms: RewardTerms,
+    /// Base angles θ, φ \[degrees\].
+    pub base: [f64; 2],
+    /// The target at this instant \[degrees\].
+    pub target: [f64; 2],
+    /// Distance between the two \[degrees\].
+    pub tracking_error: f64,
+    /// Why the episode ended, if the arm left its domain.
+    pub failure: Option<DomainError>,
+}
+
+/// Everything an episode needs to go on exactly where it was saved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EpisodeState {
+    /// The arm.
+    pub arm: ArmState,
+    /// Control instant on the target's clock.
+    pub tick: i64,
+    /// The clock's undisturbed base `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
+    pub clock: [f64; 4],
+    /// The action before.
+    pub action: [f64; 2],
+    /// Whether the episode runs: it was reset and has not failed.
+    pub running: bool,
+    /// The generator of the next resets.
+    pub generator: Pcg64,
+}
+
+/// An episode without its arm.
+#[derive(Clone, Debug)]
+pub(crate) struct Course {
+    config: Arc<EpisodeConfig>,
+    swing: Arc<Swing>,
+    reward: Reward,
+    action_range: f64,
+    physics_steps: u32,
+    tick: i64,
+    clock: [f64; 4],
+    action: [f64; 2],
+    running: bool,
+    generator: Pcg64,
+}
+
+impl Course {
+    /// A course that waits for its first [`Course::begin`].
+    pub(crate) fn new(config: Arc<EpisodeConfig>) -> Result<Self, ParameterError> {
+        let swing = Swing::shared(&config)?;
+        let amplitude = swing.orbit.amplitude();
+        Ok(Self {
+            reward: config.reward(amplitude),
+            action_range: config.resolved_action_range(amplitude),
+            physics_steps: config.physics_steps(),
+            tick: 0,
+            clock: [0.0; 4],
+            action: [0.0; 2],
+            running: false,
+            generator: Pcg64::seed_from_u64(0),
+            config,
+            swing,
+        })
+    }
+
+    pub(crate) fn config(&self) -> &EpisodeConfig {
+        &self.config
+    }
+
+    pub(crate) fn swing(&self) -> &Swing {
+        &self.swing
+    }
+
+    /// Base angle of an action of 1 \[degrees\].
+    pub(crate) fn action_range(&self) -> f64 {
+        self.action_range
+    }
+
+    /// Physics steps from one action to the next.
+    pub(crate) fn physics_steps(&self) -> u32 {
+        self.physics_steps
+    }
+
+    pub(crate) fn running(&self) -> bool {
+        self.running
+    }
+
+    pub(crate) fn seed(&mut self, seed: u64) {
+        self.generator = Pcg64::seed_from_u64(seed);
+    }
+
+    /// A snapshot at random.
+    pub(crate) fn draw(&mut self) -> usize {
+        let count = self.swing.snapshots.len() as u128;
+        // The high half of a 128-bit product: uniform to 2⁻⁵⁶ for 256 snapshots.
+        ((u128::from(self.generator.next_u64()) * count) >> 64) as usize
+    }
+
+    /// The snapshot nearest to a phase in turns, 0 to 1.
+    pub(crate) fn nearest(&self, phase: f64) -> Result<usize, ParameterError> {
+        if !(0.0..=1.0).contains(&phase) {
+            return Err(ParameterError::OutOfRange {
+                name: "phase".to_owned(),
+                value: phase.to_string(),
+                range: "[0, 1] turns".to_owned(),
+            });
+        }
+        let turns_a_tick = self.config.control_period / self.swing.orbit.period();
+        let distance = |index: &usize| {
+            let difference = (*index as f64 * turns_a_tick - phase).rem_euclid(1.0);
+            difference.min(1.0 - difference)
+        };
+        let snapshots = 0..self.swing.snapshots.len();
+        Ok(snapshots.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0))
+    }
+
+    /// Begins an episode at a snapshot, into whose state the arm must be put.
+    pub(crate) fn begin(&mut self, index: usize) {
+        let Snapshot { clock, command, .. } = self.swing.snapshots[index];
+        self.tick = index as i64;
+        self.clock = clock;
+        self.action = self.as_action(command);
+        self.running = true;
+    }
+
+    /// The arm's state at a snapshot.
+    pub(crate) fn start(&self, index: usize) -> &ArmState {
+        &self.swing.snapshots[index].arm
+    }
+
+    /// What a reset brought.
+    pub(crate) fn first_outcome(&self, base: [f64; 2]) -> Outcome {
+        self.outcome(self.action, base, None)
+    }
+
+    fn as_action(&self, command: [f64; 2]) -> [f64; 2] {
+        command.map(|angle| (angle / self.action_range).clamp(-1.0, 1.0))
+    }
+
+    /// What the clock commands now, as a fraction of the action range.
+    pub(crate) fn teacher_action(&self) -> [f64; 2] {
+        self.as_action(self.swing.clock.command(self.tick, self.clock).0)
+    }
+
+    /// The commanded angles \[degrees\] of an action.
+    pub(crate) fn command(&self, action: [f64; 2]) -> [f64; 2] {
+        action.map(|share| share * self.action_range)
+    }
+
+    /// The clock goes on after a control period under `action`.
+    pub(crate) fn finish(
+        &mut self,
+        action: [f64; 2],
+        base: [f64; 2],
+        failure: Option<DomainError>,
+    ) -> Outcome {
+        self.clock = self.swing.clock.command(self.tick, self.clock).1;
+        self.tick += 1;
+        let before = std::mem::replace(&mut self.action, action);
+        self.running = failure.is_none();
+        self.outcome(before, base, failure)
+    }
+
+    fn outcome(&self, before: [f64; 2], base: [f64; 2], failure: Option<DomainError>) -> Outcome {
+        let target = self.swing.clock.target(self.tick);
+        let (x, y) = (base[0] - target[0], base[1] - target[1]);
+        let tracking_error = (x * x + y * y).sqrt();
+        let mut terms = self.reward.terms(tracking_error, self.action, before);
+        if failure.is_some() {
+            terms.tracking = 0.0;
+        }
+        Outcome { terms, base, target, tracking_error, failure }
+    }
+
+    pub(crate) fn state(&self, arm: ArmState) -> EpisodeState {
+        EpisodeState {
+            arm,
+            tick: self.tick,
+            clock: self.clock,
+            action: self.action,
+            running: self.running,
+            generator: self.generator.clone(),
+        }
+    }
+
+    pub(crate) fn set_state(&mut self, state: &EpisodeState) {
+        self.tick = state.tick;
+        self.clock = state.clock;
+        self.action = state.action;
+        self.running = state.running;
+        self.generator = state.generator.clone();
+    }
+}
+
+/// Checks an action; `name` gives the name of an entry in the message.
+pub(crate) fn check_action(
+    action: [f64; 2],
+    name: impl Fn(usize) -> String,
+) -> Result<(), ParameterError> {
+    for (axis, value) in action.into_iter().enumerate() {
+        if !(-1.0..=1.0).contains(&value) {
+            return Err(ParameterError::OutOfRange {
+                name: name(axis),
+                value: value.to_string(),
+                range: "[-1, 1]".to_owned(),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The refusal of a step outside an episode.
+pub(crate) fn not_running(name: String) -> ParameterError {
+    ParameterError::OutOfRange {
+        name,
+        value: "a call before reset or after the end of the episode".to_owned(),
+        range: "of running episodes: call reset first".to_owned(),
+    }
+}
+
+/// The command \[degrees\] of physics step `step` (counted from 1) of the `steps` in a control period:
+/// a servo takes the command as it is; a base driven `direct` moves there from `start` at constant
+/// speed.
+pub(crate) fn command_at(
+    actuator: Actuator,
+    start: [f64; 2],
+    command: [f64; 2],
+    step: u32,
+    steps: u32,
+) -> [f64; 2] {
+    match actuator {
+        Actuator::Servo => command,
+        Actuator::Direct if step == steps => command,
+        Actuator::Direct => {
+            let share = f64::from(step) / f64::from(steps);
+            [0, 1].map(|axis| start[axis] + share * (command[axis] - start[axis]))
+        }
+    }
+}

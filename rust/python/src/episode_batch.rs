@@ -1,0 +1,230 @@
+//! `_core.EpisodeBatch`.
+
+use numpy::{IntoPyArray, PyArray1};
+use octoarm_arm::ParameterError;
+use octoarm_env::{Autoreset, BatchStep, EpisodeConfig, Outcome};
+use pyo3::exceptions::PyValueError;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::arrays::{Table, Vector, numbers, pairs_of, table, thread_count};
+use crate::errors::invalid;
+
+/// Observations, rewards, terminations, truncations, infos.
+type Step<'py> =
+    (Table<'py>, Vector<'py>, Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>, Infos<'py>);
+type Infos<'py> = Bound<'py, PyDict>;
+
+/// Many episodes; `octoarm_env.OctoArmVectorEnv` documents it.
+#[pyclass(module = "octoarm_env._core")]
+pub(crate) struct EpisodeBatch {
+    inner: octoarm_env::EpisodeBatch,
+}
+
+/// A row of flags, and the name of the key that it belongs to.
+fn set_mask(infos: &Infos<'_>, key: &str, mask: &[bool]) -> PyResult<()> {
+    infos.set_item(format!("_{key}"), PyArray1::from_slice(infos.py(), mask))
+}
+
+/// The infos of the environments that have one, as `gymnasium.vector.VectorEnv` joins them: an array
+/// a key, zeros for the others, and a mask.
+fn infos<'py>(py: Python<'py>, outcomes: &[Option<&Outcome>]) -> PyResult<Infos<'py>> {
+    let infos = PyDict::new(py);
+    let mask: Vec<bool> = outcomes.iter().map(Option::is_some).collect();
+    let pair = |value: fn(&Outcome) -> [f64; 2]| -> Vec<f64> {
+        outcomes.iter().flat_map(|outcome| outcome.map_or([0.0; 2], value)).collect()
+    };
+    let number = |value: fn(&Outcome) -> f64| -> Vec<f64> {
+        outcomes.iter().map(|outcome| outcome.map_or(0.0, value)).collect()
+    };
+    if !mask.contains(&true) {
+        return Ok(infos);
+    }
+    infos.set_item(intern!(py, "base_angles"), table(py, pair(|outcome| outcome.base), 2)?)?;
+    set_mask(&infos, "base_angles", &mask)?;
+    infos.set_item(intern!(py, "target"), table(py, pair(|outcome| outcome.target), 2)?)?;
+    set_mask(&infos, "target", &mask)?;
+    let set_number = |key: &str, values: Vec<f64>| -> PyResult<()> {
+        infos.set_item(key, values.into_pyarray(py))?;
+        set_mask(&infos, key, &mask)
+    };
+    set_number("tracking_error", number(|outcome| outcome.tracking_error))?;
+    set_number("reward_tracking", number(|outcome| outcome.terms.tracking))?;
+    set_number("reward_action_change", number(|outcome| outcome.terms.action_change))?;
+    let failures: Vec<Option<String>> = outcomes
+        .iter()
+        .map(|outcome| outcome.and_then(|outcome| outcome.failure).map(|why| why.to_string()))
+        .collect();
+    if failures.iter().any(Option::is_some) {
+        let mask: Vec<bool> = failures.iter().map(Option::is_some).collect();
+        infos.set_item(intern!(py, "failure"), objects(py, failures)?)?;
+        set_mask(&infos, "failure", &mask)?;
+    }
+    Ok(infos)
+}
+
+/// A NumPy array of Python objects.
+fn objects<'py, T: IntoPyObject<'py>>(
+    py: Python<'py>,
+    values: Vec<Option<T>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let arguments = PyDict::new(py);
+    arguments.set_item("dtype", "object")?;
+    let array = py.import("numpy")?.call_method("empty", (values.len(),), Some(&arguments))?;
+    for (index, value) in values.into_iter().enumerate() {
+        if let Some(value) = value {
+            array.set_item(index, value)?;
+        }
+    }
+    Ok(array)
+}
+
+/// The infos of a step; those of episodes that ended and began anew within it are under `final_info`.
+fn step_infos<'py>(py: Python<'py>, step: &mut BatchStep) -> PyResult<Infos<'py>> {
+    let outcomes: Vec<Option<&Outcome>> = step.outcomes.iter().map(Some).collect();
+    let infos = infos(py, &outcomes)?;
+    let mask: Vec<bool> = step.lasts.iter().map(Option::is_some).collect();
+    if mask.contains(&true) {
+        let ends: Vec<Option<&Outcome>> =
+            step.lasts.iter().map(|last| last.as_ref().map(|last| &last.outcome)).collect();
+        infos.set_item(intern!(py, "final_info"), self::infos(py, &ends)?)?;
+        set_mask(&infos, "final_info", &mask)?;
+        let observations: Vec<Option<Vector<'py>>> = std::mem::take(&mut step.lasts)
+            .into_iter()
+            .map(|last| last.map(|last| last.observation.into_pyarray(py)))
+            .collect();
+        infos.set_item(intern!(py, "final_obs"), objects(py, observations)?)?;
+        set_mask(&infos, "final_obs", &mask)?;
+    }
+    Ok(infos)
+}
+
+#[pymethods]
+impl EpisodeBatch {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        configs: Vec<String>,
+        max_episode_steps: Option<u32>,
+        autoreset: &str,
+        threads: Option<i64>,
+    ) -> PyResult<Self> {
+        let autoreset: Autoreset = serde_json::from_value(autoreset.into()).map_err(|error| {
+            PyValueError::new_err(format!("autoreset = {autoreset:?}: {error}"))
+        })?;
+        let threads = thread_count(threads)?;
+        // Environments are mostly alike: what was read last is not read again.
+        let mut read: Vec<EpisodeConfig> = Vec::with_capacity(configs.len());
+        for (index, text) in configs.iter().enumerate() {
+            let config = match read.last() {
+                Some(before) if configs[index - 1] == *text => before.clone(),
+                _ => EpisodeConfig::from_json(text).map_err(invalid)?,
+            };
+            read.push(config);
+        }
+        let inner = py
+            .detach(|| octoarm_env::EpisodeBatch::new(read, max_episode_steps, autoreset, threads))
+            .map_err(invalid)?;
+        Ok(Self { inner })
+    }
+
+    #[pyo3(signature = (mask, seeds, phase))]
+    fn reset<'py>(
+        &mut self,
+        py: Python<'py>,
+        mask: Option<Vec<bool>>,
+        seeds: Vec<Option<u64>>,
+        phase: Option<f64>,
+    ) -> PyResult<(Table<'py>, Infos<'py>)> {
+        let reset =
+            py.detach(|| self.inner.reset(mask.as_deref(), &seeds, phase)).map_err(invalid)?;
+        let outcomes: Vec<Option<&Outcome>> = reset.outcomes.iter().map(Option::as_ref).collect();
+        let infos = infos(py, &outcomes)?;
+        Ok((table(py, reset.observations, self.inner.observation_len())?, infos))
+    }
+
+    fn step<'py>(&mut self, py: Python<'py>, actions: &Bound<'py, PyAny>) -> PyResult<Step<'py>> {
+        let (actions, _) = numbers("actions", actions, &[Some(self.inner.len()), Some(2)])?;
+        let actions = pairs_of(&actions);
+        let mut step = py.detach(|| self.inner.step(&actions)).map_err(invalid)?;
+        let infos = step_infos(py, &mut step)?;
+        Ok((
+            table(py, step.observations, self.inner.observation_len())?,
+            step.rewards.into_pyarray(py),
+            step.terminated.into_pyarray(py),
+            step.truncated.into_pyarray(py),
+            infos,
+        ))
+    }
+
+    fn teacher_actions<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
+        table(py, self.inner.teacher_actions().into_flattened(), 2)
+    }
+
+    fn save(&self) -> PyResult<String> {
+        serde_json::to_string(&self.inner.state())
+            .map_err(|error| invalid(ParameterError::Format(error.to_string())))
+    }
+
+    fn load(&mut self, py: Python<'_>, state: &str) -> PyResult<()> {
+        let state = octoarm_arm::read_json(state).map_err(invalid)?;
+        py.detach(|| self.inner.set_state(&state)).map_err(invalid)
+    }
+
+    #[getter]
+    fn threads(&self) -> usize {
+        self.inner.threads()
+    }
+
+    #[getter]
+    fn observation_len(&self) -> usize {
+        self.inner.observation_len()
+    }
+
+    #[getter]
+    fn observation_bounds(&self) -> Vec<(f64, f64)> {
+        self.inner.observation_bounds()
+    }
+
+    #[getter]
+    fn action_ranges<'py>(&self, py: Python<'py>) -> Vector<'py> {
+        self.inner.action_ranges().into_pyarray(py)
+    }
+
+    #[getter]
+    fn amplitudes<'py>(&self, py: Python<'py>) -> Vector<'py> {
+        self.orbits().map(|orbit| orbit.amplitude()).collect::<Vec<f64>>().into_pyarray(py)
+    }
+
+    #[getter]
+    fn periods<'py>(&self, py: Python<'py>) -> Vector<'py> {
+        self.orbits().map(|orbit| orbit.period()).collect::<Vec<f64>>().into_pyarray(py)
+    }
+
+    #[getter]
+    fn orbit_tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let tables: Vec<Table<'py>> = self
+            .orbits()
+            .map(|orbit| table(py, orbit.table().as_flattened().to_vec(), 2))
+            .collect::<PyResult<_>>()?;
+        PyList::new(py, tables)
+    }
+
+    /// Centres of an arm's planes.
+    fn positions<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Table<'py>> {
+        if index >= self.inner.len() {
+            return Err(PyValueError::new_err(format!(
+                "index = {index}: expected 0 to {}",
+                self.inner.len() - 1
+            )));
+        }
+        table(py, self.inner.arm_state(index).positions().into_flattened(), 3)
+    }
+}
+
+impl EpisodeBatch {
+    fn orbits(&self) -> impl Iterator<Item = &octoarm_env::Orbit> {
+        (0..self.inner.len()).map(|index| &*self.inner.swing(index).orbit)
+    }
+}
