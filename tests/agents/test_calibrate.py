@@ -10,8 +10,9 @@ from octoarm_agents.calibration.record import append_evaluations, read_evaluatio
 from octoarm_agents.calibration.score import (
     FAILURE,
     TEACHER_STEPS,
+    evaluate_bodies,
     evaluate_body,
-    follow_teacher,
+    follow_teachers,
     initial_steps,
     measure_task1,
     score_ratios,
@@ -27,7 +28,7 @@ from octoarm_agents.calibration.space import (
 from octoarm_agents.experiments.task1 import INITIAL_STEPS, TASKS, Drive
 from octoarm_agents.experiments.task1_trials import score_arm
 
-from octoarm_env import LIMIT_CYCLES, ArmParameters
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 # Stays in its domain in Task 1 and under a gentle teacher, whatever the defaults are.
 BODY = ArmParameters(
@@ -68,7 +69,7 @@ def test_ratios_are_those_of_the_trials_of_table_2():
     drive = Drive.make("sines", 0, 0)
     trial = score_arm(BODY, kind="sines", amplitude=60.0, seed=0, trial=0)
     assert trial["failure"] is None
-    ratios = measure_task1(BODY, drive.initial)
+    (ratios,) = measure_task1([Arm(BODY)], [drive.initial])
     paper = {"second_order": 1.84e-7, "tenth_order": 3.77e-6, "volterra": 8.89e-5}
     for task in TASKS:
         assert ratios[task] == pytest.approx(trial["arm"]["test"][task] / paper[task], rel=1e-6)
@@ -97,8 +98,53 @@ def test_failures_are_graded_by_how_far_the_body_got():
 
 
 def test_a_teacher_is_followed_or_not():
-    assert follow_teacher(BODY, "lissajous", 5.0) == TEACHER_STEPS
-    assert 0 < follow_teacher(BODY, "van_der_pol", 400.0) < TEACHER_STEPS
+    arm = Arm(BODY)
+    targets = ["lissajous", "van_der_pol", "van_der_pol", "quadratic"]
+    amplitudes = [5.0, 400.0, 200.0, 10.0]
+    steps = follow_teachers([arm] * 4, targets, amplitudes)
+    assert steps[0] == steps[3] == TEACHER_STEPS
+    assert 0 < steps[1] < steps[2] < TEACHER_STEPS
+    assert arm.state == Arm(BODY).state
+    for made, target, amplitude in zip(steps, targets, amplitudes, strict=True):
+        assert follow_teachers([arm], [target], [amplitude]) == [made]
+
+
+def test_bodies_are_judged_together_as_alone():
+    bodies = [
+        BODY,
+        SLACK,
+        BODY.replace(arm_density=1100.0, area_scale=20.0),
+        # Of fewer compartments than its neighbours, which is more than a search varies.
+        BODY.replace(compartments=18),
+        BODY.replace(area_scale=5.0),
+        # Rests, and leaves its domain in Task 1.
+        BODY.replace(longitudinal_damping=0.0, transverse_damping=0.0),
+        BODY.replace(timestep=0.0005),
+        BODY.replace(lift_scale=1.0),
+    ]
+    amplitudes = {"lissajous": 5.0, "van_der_pol": 75.0}
+    alone = [evaluate_body(body, 300, amplitudes) for body in bodies]
+    assert evaluate_bodies(bodies, 300, amplitudes) == alone
+    assert evaluate_bodies(bodies[::-1], 300, amplitudes) == alone[::-1]
+    stages = [each["failure"] and each["failure"]["stage"] for each in alone]
+    assert stages == [
+        *(None, "rest", None, None),
+        *("van_der_pol", "task1", "rest", "van_der_pol"),
+    ]
+    assert "timestep = 0.0005" in alone[6]["failure"]["message"]
+    assert "equilibrium" in alone[1]["failure"]["message"]
+    assert evaluate_bodies([], 300, amplitudes) == []
+
+
+def test_the_errors_of_several_starts_are_those_of_each():
+    slack = BODY.replace(longitudinal_damping=0.0, transverse_damping=0.0)
+    arms = [Arm(BODY), Arm(slack), Arm(BODY), Arm(BODY)]
+    starts = [1000, 500, 0, 250]
+    together = measure_task1(arms, starts)
+    assert isinstance(together[1], DomainError)
+    for index in (0, 2, 3):
+        assert [together[index]] == measure_task1([Arm(BODY)], [starts[index]])
+    assert len({each["volterra"] for each in together if isinstance(each, dict)}) == 3
 
 
 def test_starts_are_spread_over_the_papers_range():
@@ -183,15 +229,21 @@ def test_a_search_does_not_depend_on_jobs_nor_on_others_in_its_file(tmp_path):
     assert read_evaluations(together) == other + alone
 
 
-def bowl(body, initial, amplitudes):
-    """A score that knows where it is lowest: light planes, much drag."""
+def bowl(bodies, initial, amplitudes):
+    """Scores that know where they are lowest: light planes, much drag."""
     assert amplitudes == {"quadratic": 60.0}
-    distance = math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2
-    return {"score": distance, "ratios": dict.fromkeys(TASKS, 1.0), "failure": None}
+    return [
+        {
+            "score": math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
+            "ratios": dict.fromkeys(TASKS, 1.0),
+            "failure": None,
+        }
+        for body in bodies
+    ]
 
 
 def test_a_search_learns_from_its_scores_and_begins_again_when_it_has(tmp_path, monkeypatch):
-    monkeypatch.setattr("octoarm_agents.calibration.search.evaluate_body", bowl)
+    monkeypatch.setattr("octoarm_agents.calibration.search.evaluate_bodies", bowl)
     found = search_bodies(
         spaces(signs=(1.0,)),
         evaluations=3_000,
@@ -244,12 +296,15 @@ def test_bad_settings_are_named(tmp_path, setting):
 
 def test_a_body_is_measured_again_from_several_starts():
     again = measure_again(BODY, [0, 500])
-    assert again["ratios"] == [measure_task1(BODY, initial) for initial in (0, 500)]
+    assert again["ratios"] == measure_task1([Arm(BODY)] * 2, [0, 500])
     assert again["ratios"][0] != again["ratios"][1]
     for task in TASKS:
         mean = np.mean([each[task] for each in again["ratios"]])
         assert again["mean_ratios"][task] == pytest.approx(mean)
     assert again["score"] == score_ratios(again["mean_ratios"])
+    undamped = measure_again(BODY.replace(longitudinal_damping=0.0, transverse_damping=0.0), [0])
+    assert undamped["ratios"] == [None]
+    assert undamped["mean_ratios"] is undamped["score"] is None
 
 
 def test_calibrate_body(octoarm, tmp_path):
@@ -331,7 +386,7 @@ def test_every_open_parameter_is_moved_alone():
 def test_a_moved_body_is_measured():
     result = probe_change(BODY, fields={}, starts=[500], amplitudes=[5.0, 200.0])
     assert result["error"] is None
-    assert result["task1"]["mean_ratios"] == measure_task1(BODY, 500)
+    assert [result["task1"]["mean_ratios"]] == measure_task1([Arm(BODY)], [500])
     assert set(result["largest_amplitudes"]) == set(LIMIT_CYCLES)
     assert result["largest_amplitudes"]["lissajous"] == 5.0
     refused = probe_change(BODY, fields={"area_scale": -1.0}, starts=[500], amplitudes=[5.0])

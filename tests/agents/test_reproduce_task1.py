@@ -14,15 +14,22 @@ from octoarm_agents.experiments.task1 import (
     Drive,
     fit_readout,
     record_lengths,
+    record_many,
     score_features,
     trial_streams,
 )
-from octoarm_agents.experiments.task1_trials import leave_out_compartments, score_arm
+from octoarm_agents.experiments.task1_trials import (
+    compare_methods,
+    leave_out_compartments,
+    record_trials,
+    score_arm,
+)
+from octoarm_agents.experiments.trials import run_trials
 from octoarm_agents.reservoir.baselines import linear
 from octoarm_agents.reservoir.readout import Readout
 from PIL import Image
 
-from octoarm_env import ArmParameters
+from octoarm_env import Arm, ArmParameters, DomainError
 
 METHODS = ("arm", "linear_regressor", "mean_predictor", "cubic", "delay2", "delay3", "esn80")
 
@@ -98,6 +105,56 @@ def test_the_readout_predicts_the_next_output_from_the_lengths_of_now(drive, len
     scores, _ = score_features(lengths, drive)
     direct = np.square(lengths[drive.test] @ weights - drive.targets[drive.test]).mean(axis=0)
     np.testing.assert_allclose(list(scores["test"].values()), direct, rtol=1e-3)
+
+
+def test_arms_are_recorded_together_as_alone():
+    drives = [Drive.make(kind, 0, trial) for kind in ("sines", "iid") for trial in range(2)]
+    assert len({drive.initial for drive in drives}) == 2
+    bodies = [ArmParameters(area_scale=5.0 + index) for index in range(4)]
+    # The third leaves its domain.
+    amplitudes = [60.0, 45.0, 200.0, 20.0]
+    together = record_many([Arm(body) for body in bodies], drives, amplitudes)
+    for index, recording in enumerate(together):
+        single = (bodies[index], drives[index], amplitudes[index])
+        if index == 2:
+            assert isinstance(recording, DomainError)
+            with pytest.raises(DomainError) as caught:
+                record_lengths(*single)
+            assert str(recording) == str(caught.value)
+            assert (recording.step, recording.time) == (caught.value.step, caught.value.time)
+        else:
+            np.testing.assert_array_equal(recording, record_lengths(*single))
+    finer = Arm(ArmParameters(timestep=0.0005))
+    with pytest.raises(ValueError, match="timestep = 0.0005"):
+        record_many([Arm(), Arm(), finer], drives[:3], amplitudes[:3])
+
+
+@pytest.mark.parametrize(
+    ("function", "more"),
+    [
+        (score_arm, {"sensor_noise": [1e-5]}),
+        (compare_methods, {"sensor_noise": [1e-5]}),
+        (leave_out_compartments, {}),
+    ],
+)
+def test_trials_together_are_the_trials_alone(tmp_path, function, more):
+    settings = [
+        {"kind": kind, "amplitude": amplitude, "seed": 0, "trial": trial, **more}
+        for kind, amplitude, trial in (
+            ("sines", 60.0, 0),
+            ("sines", 200.0, 0),
+            ("iid", 30.0, 1),
+            ("sines", 30.0, 2),
+        )
+    ]
+    alone = run_trials(function, ArmParameters(), settings, folder=tmp_path / "alone")
+    assert [each["failure"] is None for each in alone] == [True, False, True, True]
+    for jobs in (1, 2):
+        folder = tmp_path / str(jobs)
+        together = run_trials(
+            function, ArmParameters(), settings, folder=folder, record=record_trials, jobs=jobs
+        )
+        assert together == alone
 
 
 def test_table2(octoarm, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from octoarm_agents.experiments import EXPERIMENTS, load_experiment
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable, reproduce
-from octoarm_agents.experiments.trials import code_digest, run_trials
+from octoarm_agents.experiments.trials import code_digest, run_trials, share_out
 
 from octoarm_env import ArmParameters
 
@@ -32,6 +32,30 @@ def stop_at_three(parameters, *, trial, how):
             os.kill(os.getpid(), signal.SIGKILL)
         raise KeyboardInterrupt
     return {"trial": trial}
+
+
+def record_numbers(parameters, settings):
+    """What trials can do together; leaves a line with their numbers in a file."""
+    with Path(settings[0]["log"]).with_suffix(".shares").open("a", encoding="utf-8") as file:
+        file.write(f"{[each['trial'] for each in settings]}\n")
+    return [parameters.rest_length * each["trial"] for each in settings]
+
+
+def use_recording(parameters, *, trial, log, stop=None, recording=None):
+    """A trial that can be recorded with others; one of them may end the process once."""
+    if stop is not None and trial == stop and Path(log).with_suffix(".stop").exists():
+        Path(log).with_suffix(".stop").unlink()
+        raise KeyboardInterrupt
+    with Path(log).open("a", encoding="utf-8") as file:
+        file.write(f"{trial}\n")
+    together = recording is not None
+    return {"trial": trial, "value": recording if together else parameters.rest_length * trial}
+
+
+def shares_of(log):
+    """Numbers of the trials of each share, in order of the shares' first."""
+    lines = log.with_suffix(".shares").read_text(encoding="utf-8").splitlines()
+    return sorted(json.loads(line) for line in lines)
 
 
 def not_a_number(parameters, *, trial):
@@ -149,6 +173,61 @@ def test_a_killed_run_goes_on_where_it_ended(tmp_path, folder):
     results = run_trials(stop_at_three, ArmParameters(), trials, folder=folder)
     assert [result["trial"] for result in results] == list(range(5))
     assert [file.stat().st_mtime_ns for file in stored] == before
+
+
+def test_trials_are_recorded_together(log, tmp_path):
+    trials = [{"trial": trial, "log": str(log)} for trial in range(11)]
+    alone = run_trials(use_recording, ArmParameters(), trials, folder=tmp_path / "alone")
+    names = {file.name: file.read_bytes() for file in (tmp_path / "alone").iterdir()}
+    for jobs, shares in (
+        (1, [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9, 10]]),
+        (2, [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9, 10]]),
+        (3, [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]),
+    ):
+        folder = tmp_path / f"{jobs}"
+        together = run_trials(
+            use_recording, ArmParameters(), trials, folder=folder, record=record_numbers, jobs=jobs
+        )
+        assert together == alone
+        assert {file.name: file.read_bytes() for file in folder.iterdir()} == names
+        assert shares_of(log) == shares
+        log.with_suffix(".shares").unlink()
+
+
+def test_only_what_is_missing_of_a_share_is_recorded(log, folder):
+    trials = [{"trial": trial, "log": str(log)} for trial in range(7)]
+    run_trials(use_recording, ArmParameters(), [trials[1], trials[4]], folder=folder)
+    results = run_trials(
+        use_recording, ArmParameters(), trials, folder=folder, record=record_numbers
+    )
+    assert [result["trial"] for result in results] == list(range(7))
+    assert shares_of(log) == [[0, 2, 3, 5, 6]]
+    assert computed(log) == list(range(7))
+    run_trials(use_recording, ArmParameters(), trials, folder=folder, record=record_numbers)
+    assert shares_of(log) == [[0, 2, 3, 5, 6]]
+
+
+def test_an_interrupted_share_keeps_its_finished_trials(log, folder):
+    log.with_suffix(".stop").touch()
+    trials = [{"trial": trial, "log": str(log), "stop": 3} for trial in range(6)]
+    arguments = (use_recording, ArmParameters(), trials)
+    with pytest.raises(KeyboardInterrupt):
+        run_trials(*arguments, folder=folder, record=record_numbers)
+    assert len(list(folder.iterdir())) == 3
+    results = run_trials(*arguments, folder=folder, record=record_numbers)
+    assert [result["trial"] for result in results] == list(range(6))
+    assert shares_of(log) == [[0, 1, 2, 3, 4, 5], [3, 4, 5]]
+    assert computed(log) == list(range(6))
+
+
+def test_shares_are_even():
+    for count in range(60):
+        for jobs in range(1, 12):
+            shares = [list(range(count)[share]) for share in share_out(count, jobs)]
+            assert [index for share in shares for index in share] == list(range(count))
+            sizes = [len(share) for share in shares]
+            assert all(0 < size <= min(8, -(-count // jobs)) for size in sizes)
+            assert len(set(sizes[:-1])) <= 1
 
 
 def test_results_must_be_finite(folder):

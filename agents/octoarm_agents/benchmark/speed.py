@@ -1,4 +1,4 @@
-"""How long a step takes: the arm, its MuJoCo twin, the environment.
+"""How long a step takes: arm, batch, environments, and their peers, in one run.
 
 On a shared machine absolute times drift by tens of per cent within seconds. So the contenders take
 turns, a short slice each, round after round; every ratio is formed within a round, and medians over
@@ -8,40 +8,39 @@ the rounds are reported with their extremes.
 from __future__ import annotations
 
 import gc
-import importlib.util
+import os
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
-
-from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
+from octoarm_agents.benchmark.contenders import (
+    ARM,
+    ARM_DRY,
+    ARM_SERVO,
+    ASYNC,
+    BATCH,
+    ENV_BARE,
+    ENV_MADE,
+    PHYSICS_STEPS,
+    ROD,
+    SYNC,
+    TWIN,
+    Contender,
+    batch_name,
+    elsewhere_name,
+    make_contenders,
+    other_instruction_sets,
+    vector_name,
+)
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, OctoArmEnv, TeacherPolicy
+from octoarm_env import OctoArmVectorEnv, instruction_set
 
-__all__ = ["SpeedResult", "Spread", "has_mujoco", "measure_speed"]
+__all__ = ["Ratio", "SpeedResult", "Spread", "measure_speed"]
 
-Float = NDArray[np.float64]
-
-CONTROL_PERIOD = 0.01
-EPISODE_STEPS = 500
-OVERHEAD_TARGET = 10.0
-"""Microseconds of an `OctoArmEnv.step` that may go to anything but the physics."""
-
-_AMPLITUDE = 20.0
-"""Degrees; the environment's own default target."""
-
-ARM_RUN = "Arm.run, default body in water"
-ARM_RUN_SERVO = "Arm.run, the same with servo base"
-ARM_RUN_DRY = "Arm.run, no water, no volume forces"
-ARM_STEP = "Arm.step from Python, default body"
-TWIN = "MuJoCo twin, no water, no volume forces"
-ENV_BARE = "OctoArmEnv.step (10 physics steps)"
-ENV_MADE = 'gym.make("OctoArm-v0").step (10 physics steps)'
+MEMORY_ENVS = 4096
 
 
 @dataclass(frozen=True)
@@ -63,124 +62,179 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Contender:
-    """Something to be timed.
+class Ratio:
+    """One contender compared with another, round by round.
 
     Attributes:
-        name: its row in the table.
-        prepare: called before every slice, not timed.
-        run: make this many steps.
-        limit: most steps in a slice without a new `prepare`.
+        key: its name in a file.
+        label: its row in the table.
+        spread: of the values.
+        unit: of the values, "×", "%", "µs" or "a second".
     """
 
-    name: str
-    prepare: Callable[[], Any]
-    run: Callable[[int], Any]
-    limit: int
+    key: str
+    label: str
+    spread: Spread
+    unit: str = "×"
 
 
 @dataclass
 class SpeedResult:
-    """Microseconds a step of every contender, by round.
+    """Microseconds of an arm's physics step for every contender, by round.
 
     Attributes:
         rounds: number of rounds.
-        steps: steps in one slice, by contender.
-        microseconds: a step's time in each round, by contender.
-        physics_steps: physics steps in a step of the environment.
+        contenders: what was timed, by name.
+        steps: steps in one slice, by name.
+        microseconds: time of a step over all arms and physics steps in it, in each round, by name.
+        memory: bytes a sub-environment of a native vector environment of 4096 takes; None where the
+            system does not tell.
     """
 
     rounds: int
+    contenders: dict[str, Contender]
     steps: dict[str, int]
     microseconds: dict[str, list[float]] = field(default_factory=dict)
-    physics_steps: int = round(CONTROL_PERIOD / 0.001)
+    memory: float | None = None
 
     @property
     def spreads(self) -> dict[str, Spread]:
-        """Spread of every contender's microseconds a step."""
+        """Spread of every contender's microseconds an arm's step."""
         return {name: Spread.of(values) for name, values in self.microseconds.items()}
 
-    @property
-    def twin_over_arm(self) -> Spread | None:
-        """Time of the twin's step over the arm's with the same physics; None without MuJoCo."""
-        return self._ratio(TWIN, ARM_RUN_DRY)
+    def real_time(self, name: str) -> float:
+        """Simulated seconds, of all arms together, in a second of computing; the median."""
+        return 1e6 * self.contenders[name].timestep / self.spreads[name].median
 
-    @property
-    def twin_over_wet_arm(self) -> Spread | None:
-        """Time of the twin's step over the arm's that computes water and volume forces too."""
-        return self._ratio(TWIN, ARM_RUN)
+    def ratios(self) -> list[Ratio]:
+        """All comparisons of which both sides were measured."""
+        threads = 2 if batch_name(BATCH, 2) in self.microseconds else 1
+        batch, vector = batch_name(BATCH, threads), vector_name(BATCH, threads)
+        alone = vector_name(BATCH, 1)
+        dry = batch_name(BATCH, 1, dry=True)
+        wanted = [
+            ("twin_over_arm", "MuJoCo twin / one arm, same physics", TWIN, ARM_DRY),
+            ("twin_over_wet_arm", "MuJoCo twin / one arm in water", TWIN, ARM),
+            (
+                f"twin_over_batch_{instruction_set()}",
+                f"MuJoCo twin / {BATCH} arms, {instruction_set()}",
+                TWIN,
+                dry,
+            ),
+        ]
+        wanted += [
+            (f"twin_over_batch_{name}", f"MuJoCo twin / {BATCH} arms, {name}", TWIN, other)
+            for name in other_instruction_sets()
+            for other in [elsewhere_name(name)]
+        ]
+        wanted += [
+            ("arm_over_batch", f"one arm / {BATCH} arms", ARM_DRY, dry),
+            ("batch_threads", f"{BATCH} arms: 1 / 2 threads", batch_name(BATCH, 1), batch),
+            ("vector_threads", f"{vector}: 1 / 2 threads", alone, vector),
+            ("sync_over_vector", f"SyncVectorEnv / {vector}", SYNC, vector),
+            (
+                "sync_over_vector_1",
+                "SyncVectorEnv / the same, 1 thread",
+                SYNC,
+                vector_name(BATCH, 1),
+            ),
+            ("async_over_vector", f"AsyncVectorEnv / {vector}", ASYNC, vector),
+        ]
+        ratios = [
+            Ratio(key, label, self._divided(slow, fast))
+            for key, label, slow, fast in wanted
+            if slow in self.microseconds and fast in self.microseconds and slow != fast
+        ]
+        for count in sorted({1, threads}):
+            name, own = vector_name(BATCH, count), batch_name(BATCH, count)
+            if not {name, own} <= set(self.microseconds):
+                continue
+            rate = Spread.of([1e6 / PHYSICS_STEPS / each for each in self.microseconds[name]])
+            label = f"{name}: steps of an environment"
+            ratios.append(Ratio(f"env_steps_{count}_threads", label, rate, "a second"))
+            share = Spread(*(100 * each for each in self._divided(own, name).to_dict().values()))
+            label = f"{name}: speed over the bare batch's"
+            ratios.append(Ratio(f"vector_share_{count}_threads", label, share, "%"))
+        for key, name in (("bare", ENV_BARE), ("made", ENV_MADE)):
+            if {name, ARM_SERVO} <= set(self.microseconds):
+                label = f"{name} beyond its {PHYSICS_STEPS} physics steps"
+                ratios.append(Ratio(f"overhead_{key}", label, self.overhead(name), "µs"))
+        return ratios
 
     def overhead(self, name: str) -> Spread:
         """Microseconds of an environment's step beyond its physics steps with a servo base."""
-        physics = self.microseconds[ARM_RUN_SERVO]
-        pairs = zip(self.microseconds[name], physics, strict=True)
-        return Spread.of([step - self.physics_steps * inner for step, inner in pairs])
+        pairs = zip(self.microseconds[name], self.microseconds[ARM_SERVO], strict=True)
+        return Spread.of([PHYSICS_STEPS * (step - inner) for step, inner in pairs])
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain numbers for a JSON file; units in the keys."""
-        ratios = {
-            "mujoco_twin_over_arm_same_physics": self.twin_over_arm,
-            "mujoco_twin_over_arm_default_body": self.twin_over_wet_arm,
-        }
         return {
             "rounds": self.rounds,
-            "microseconds_per_step": {
-                name: spread.to_dict() | {"steps_per_round": self.steps[name]}
+            "microseconds_per_arm_step": {
+                name: spread.to_dict()
+                | {
+                    "arms": self.contenders[name].arms,
+                    "physics_steps": self.contenders[name].physics_steps,
+                    "timestep_seconds": self.contenders[name].timestep,
+                    "steps_per_round": self.steps[name],
+                    "simulated_seconds_per_second": self.real_time(name),
+                }
                 for name, spread in self.spreads.items()
             },
             "ratios": {
-                name: None if ratio is None else ratio.to_dict() for name, ratio in ratios.items()
+                ratio.key: ratio.spread.to_dict() | {"label": ratio.label, "unit": ratio.unit}
+                for ratio in self.ratios()
             },
-            "overhead_microseconds_per_env_step": {
-                name: self.overhead(name).to_dict() for name in (ENV_BARE, ENV_MADE)
-            },
+            "bytes_per_vector_sub_environment": self.memory,
             "microseconds_by_round": self.microseconds,
             "machine": describe_machine(),
             "versions": package_versions(
-                "octoarm-env", "octoarm-agents", "numpy", "gymnasium", "mujoco"
+                "octoarm-env", "octoarm-agents", "numpy", "gymnasium", "mujoco", "pyelastica"
             ),
         }
 
-    def _ratio(self, slower: str, faster: str) -> Spread | None:
-        if slower not in self.microseconds:
-            return None
-        pairs = zip(self.microseconds[slower], self.microseconds[faster], strict=True)
-        return Spread.of([above / below for above, below in pairs])
+    def _divided(self, above: str, below: str) -> Spread:
+        pairs = zip(self.microseconds[above], self.microseconds[below], strict=True)
+        return Spread.of([one / other for one, other in pairs])
 
 
 def measure_speed(
-    seconds: float = 10.0, rounds: int = 11, advance: Callable[[str], Any] | None = None
+    seconds: float = 30.0, rounds: int = 11, advance: Callable[[str, int], Any] | None = None
 ) -> SpeedResult:
-    """Time all contenders; MuJoCo's twin only where MuJoCo is installed.
+    """Time all contenders; peers only where they are installed.
 
     Args:
-        seconds: time for all slices together.
+        seconds: time for all slices together; making the contenders comes on top.
         rounds: slices of each contender.
-        advance: called with a contender's name after each of its slices.
+        advance: called with a contender's name and the number of slices in all, after each slice.
     """
-    contenders = _contenders()
-    budget = seconds / (rounds * len(contenders))
-    steps = {contender.name: _fitting_steps(contender, budget) for contender in contenders}
-    result = SpeedResult(rounds, steps, {contender.name: [] for contender in contenders})
-    for turn in range(rounds):
-        # Every round begins with another contender, so that none always follows the same one.
-        for index in range(len(contenders)):
-            contender = contenders[(turn + index) % len(contenders)]
-            taken = _time_slice(contender, steps[contender.name])
-            result.microseconds[contender.name].append(1e6 * taken / steps[contender.name])
-            if advance is not None:
-                advance(contender.name)
+    memory = _memory_per_environment()
+    contenders = {contender.name: contender for contender in make_contenders()}
+    try:
+        budget = seconds / (rounds * len(contenders))
+        steps = {name: _fitting_steps(each, budget) for name, each in contenders.items()}
+        result = SpeedResult(rounds, contenders, steps, {name: [] for name in contenders}, memory)
+        names = list(contenders)
+        for turn in range(rounds):
+            # Every round begins with another contender, so that none always follows the same one.
+            for index in range(len(names)):
+                contender = contenders[names[(turn + index) % len(names)]]
+                count = steps[contender.name]
+                taken = _time_slice(contender, count)
+                result.microseconds[contender.name].append(
+                    1e6 * taken / (count * contender.arm_steps)
+                )
+                if advance is not None:
+                    advance(contender.name, rounds * len(names))
+    finally:
+        for contender in contenders.values():
+            contender.close()
     return result
-
-
-def has_mujoco() -> bool:
-    """Whether MuJoCo is installed."""
-    return importlib.util.find_spec("mujoco") is not None
 
 
 def _fitting_steps(contender: Contender, budget: float) -> int:
     """Steps that take about `budget` seconds."""
-    count = min(16, contender.limit)
+    count = 1
     _time_slice(contender, count)  # the first slice also pays for what is made only once
     while True:
         taken = _time_slice(contender, count)
@@ -204,74 +258,29 @@ def _time_slice(contender: Contender, steps: int) -> float:
             gc.enable()
 
 
-def _contenders() -> list[Contender]:
-    limit = 20_000
-    signal = LIMIT_CYCLES["quadratic"].signal(limit, _AMPLITUDE)
-    # Without water nothing brakes heavy planes: they would swing themselves out of the domain.
-    dry = ArmParameters(
-        plane_mass=0.0,
-        water_density=0.0,
-        arm_density=0.0,
-        longitudinal_volume_gain=0.0,
-        transverse_volume_gain=0.0,
-    )
-    contenders = [
-        _arm_run(ARM_RUN, Arm(), signal),
-        _arm_run(ARM_RUN_SERVO, Arm(actuator="servo"), signal),
-        _arm_run(ARM_RUN_DRY, Arm(dry), signal),
-        _arm_step(ARM_STEP, Arm(), signal),
-    ]
-    if has_mujoco():
-        contenders.append(_twin(dry))
-    bare = OctoArmEnv(control_period=CONTROL_PERIOD)
-    made = gym.make("OctoArm-v0", control_period=CONTROL_PERIOD)
-    contenders.append(_environment(ENV_BARE, bare))
-    contenders.append(_environment(ENV_MADE, made))
-    return contenders
+def _memory_per_environment() -> float | None:
+    """Resident bytes that an environment of a large native batch adds."""
+    before = _resident_bytes()
+    if before is None:
+        return None
+    # The swing's snapshots, which all share, are there before.
+    first = OctoArmVectorEnv(1)
+    before = _resident_bytes() or 0
+    envs = OctoArmVectorEnv(MEMORY_ENVS)
+    envs.reset(seed=0)
+    after = _resident_bytes() or 0
+    first.close()
+    envs.close()
+    return (after - before) / MEMORY_ENVS
 
 
-def _arm_run(name: str, arm: Arm, signal: Float) -> Contender:
-    return Contender(name, arm.reset, lambda steps: arm.run(signal[:steps]), len(signal))
+def _resident_bytes() -> int | None:
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _arm_step(name: str, arm: Arm, signal: Float) -> Contender:
-    angles = signal.tolist()
-
-    def run(steps: int) -> None:
-        for theta, phi in angles[:steps]:
-            arm.step(theta, phi)
-
-    return Contender(name, arm.reset, run, len(angles))
-
-
-def _twin(parameters: ArmParameters) -> Contender:
-    """The twin, its springs ringing after a pull; what it does has no influence on its time."""
-    twin = MujocoTwin(parameters)
-    coordinates, rates, base = twin.state
-    coordinates[:, 1:3] += 0.02
-
-    def prepare() -> None:
-        twin.set_state(coordinates, rates, base)
-
-    return Contender(TWIN, prepare, twin.step, 20_000)
-
-
-def _environment(name: str, env: gym.Env[Any, Any]) -> Contender:
-    """An environment under the actions of its teacher, which are computed beforehand."""
-    options = {"phase": 0.0}
-    teacher = TeacherPolicy(env)
-    observation, _ = env.reset(seed=0, options=options)
-    actions = []
-    for _ in range(EPISODE_STEPS):
-        action, _ = teacher.predict(observation)
-        actions.append(action)
-        observation, _, terminated, _, _ = env.step(action)
-        if terminated:
-            raise RuntimeError(f"the teacher's episode of {name} ended after {len(actions)} steps")
-
-    def run(steps: int) -> None:
-        step = env.step
-        for action in actions[:steps]:
-            step(action)
-
-    return Contender(name, lambda: env.reset(options=options), run, EPISODE_STEPS)
+# What the table is for: a peer is left out of it where it is not installed.
+PEERS = {TWIN: "MuJoCo", ROD: "PyElastica"}

@@ -23,7 +23,7 @@ from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
 from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
 from octoarm_agents.files import write_atomically, write_json
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_env import ArmParameters, DomainError
+from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = ["SCORE", "calibrate_body", "measure_again"]
 
@@ -127,14 +127,10 @@ def measure_again(body: ArmParameters, starts: Sequence[int]) -> dict[str, Any]:
         ``mean_ratios`` and their ``score``, None if any did.
 
     Raises:
-        ValueError: a body that cannot rest.
+        ValueError: a body that cannot rest, or of another timestep than the paper's.
     """
-    ratios: list[dict[str, float] | None] = []
-    for initial in starts:
-        try:
-            ratios.append(measure_task1(body, initial))
-        except DomainError:
-            ratios.append(None)
+    measured = measure_task1([Arm(body)] * len(starts), starts)
+    ratios = [None if isinstance(each, DomainError) else each for each in measured]
     whole = [each for each in ratios if each is not None]
     mean = None
     if len(whole) == len(starts):

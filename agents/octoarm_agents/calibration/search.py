@@ -8,6 +8,7 @@ file for an answer.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.calibration.record import append_evaluations, read_evaluations
-from octoarm_agents.calibration.score import evaluate_body
+from octoarm_agents.calibration.score import evaluate_bodies
 from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
-from octoarm_agents.experiments.trials import code_digest
+from octoarm_agents.experiments.trials import code_digest, share_out
 from octoarm_agents.machine import package_versions
 from octoarm_env import ArmParameters
 
@@ -55,7 +56,7 @@ def search_bodies(
         evaluations: bodies tried in each space.
         file: of the evaluations; its folder must exist.
         initial: T_ini of Task 1.
-        amplitudes: R by cycle, see `evaluate_body`.
+        amplitudes: R by cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
         progress: show a bar on standard error; None: if that is a terminal.
@@ -102,7 +103,7 @@ def search_bodies(
                 for search in searches
                 for evaluation in search.ask(min(POPULATION, evaluations - begin))
             ]
-            _evaluate(parallel, spaces[0].base, asked, file, judge)
+            _evaluate(parallel, jobs, spaces[0].base, asked, file, judge)
             for search in searches:
                 search.tell()
             results += asked
@@ -113,6 +114,7 @@ def search_bodies(
 
 def _evaluate(
     parallel: Any,
+    jobs: int,
     base: ArmParameters,
     asked: Sequence[dict[str, Any]],
     file: Path,
@@ -122,17 +124,12 @@ def _evaluate(
     from joblib import delayed
 
     new = [evaluation for evaluation in asked if "score" not in evaluation]
-    judged = parallel(delayed(_judge)(base, each["body"], judge) for each in new)
-    for evaluation, result in zip(new, judged, strict=True):
+    bodies = [base.replace(**evaluation["body"]) for evaluation in new]
+    shares = share_out(len(new), jobs)
+    judged = parallel(delayed(evaluate_bodies)(bodies[share], **judge) for share in shares)
+    for evaluation, result in zip(new, itertools.chain(*judged), strict=True):
         evaluation.update(result)
     append_evaluations(file, new)
-
-
-def _judge(
-    base: ArmParameters, changes: Mapping[str, Any], judge: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Evaluate one candidate, in whatever process."""
-    return evaluate_body(base.replace(**changes), **judge)
 
 
 class _Search:

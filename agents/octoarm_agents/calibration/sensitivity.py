@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from octoarm_agents.calibration.body import measure_again
-from octoarm_agents.calibration.score import TEACHER_STEPS, follow_teacher, initial_steps
+from octoarm_agents.calibration.score import TEACHER_STEPS, follow_teachers, initial_steps
 from octoarm_agents.calibration.sensitivity_report import draw_sensitivity, sensitivity_markdown
 from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
 from octoarm_agents.experiments.task1 import RANGE, check_timestep
 from octoarm_agents.experiments.trials import run_trials
 from octoarm_agents.files import write_atomically, write_json
 from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_env import LIMIT_CYCLES, ArmParameters
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
 __all__ = ["AMPLITUDES", "Change", "changes_of", "measure_sensitivity", "probe_change"]
 
@@ -116,14 +116,17 @@ def probe_change(
     result: dict[str, Any] = {"error": None, "task1": None, "largest_amplitudes": None}
     try:
         body = parameters.replace(**fields)
+        arm = Arm(body)
         task1 = measure_again(body, starts)
     except ValueError as error:  # out of a field's range, or no static equilibrium
         return result | {"error": str(error)}
     largest: dict[str, float | None] = {}
     for target in LIMIT_CYCLES:
+        tried = len(amplitudes)
+        steps = follow_teachers([arm] * tried, [target] * tried, amplitudes)
         largest[target] = None
-        for amplitude in amplitudes:
-            if follow_teacher(body, target, amplitude) < TEACHER_STEPS:
+        for amplitude, made in zip(amplitudes, steps, strict=True):
+            if made < TEACHER_STEPS:
                 break
             largest[target] = amplitude
     return result | {"task1": task1, "largest_amplitudes": largest}

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
     from octoarm_agents.benchmark.speed import SpeedResult
 
-_NO_MUJOCO = (
-    "MuJoCo is not installed, so its twin was left out: pip install 'octoarm-agents[benchmark]'"
-)
+_MISSING = "{} not installed, so left out: pip install 'octoarm-agents[benchmark]'"
 
 
 def benchmark(
@@ -27,7 +25,7 @@ def benchmark(
             help="Measuring time in seconds, all contenders together.",
             callback=number_between(0.1, 3600.0, "seconds"),
         ),
-    ] = 10.0,
+    ] = 30.0,
     rounds: Annotated[
         int,
         typer.Option(
@@ -44,23 +42,28 @@ def benchmark(
         bool, typer.Option("--json", help="Print the figures as JSON instead of tables.")
     ] = False,
 ) -> None:
-    """Time the physics, the same arm in MuJoCo, and the environment, in one run.
+    """Time one arm, batches of 1 to 1024, the environments and their peers, in one run.
 
-    The contenders take turns in several rounds; ratios are formed within a round, because absolute
-    times on a shared machine are not steady. Columns are minimum, median and maximum over rounds.
+    Peers are the same arm in MuJoCo (RK4, 1 ms; it computes neither water nor volume forces, and is
+    compared with an arm without them), Gymnasium's SyncVectorEnv and AsyncVectorEnv over the single
+    environment, and a rod of PyElastica, which is another physics: only simulated seconds a second
+    may be read off it. The contenders take turns in several rounds; ratios are formed within a
+    round, because absolute times on a shared machine are not steady. Columns are minimum, median
+    and maximum over rounds.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from octoarm_agents.benchmark.speed import has_mujoco, measure_speed
+    from octoarm_agents.benchmark.speed import PEERS, measure_speed
     from octoarm_agents.files import write_json
 
-    console, errors = Console(), Console(stderr=True)
+    console, errors = Console(width=120), Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=errors, transient=True) as progress:
-        contenders = 7 if has_mujoco() else 6
-        task = progress.add_task("measuring", total=rounds * contenders)
-        result = measure_speed(seconds, rounds, lambda name: progress.advance(task))
+        task = progress.add_task("measuring", total=None)
+        result = measure_speed(
+            seconds, rounds, lambda name, total: progress.update(task, advance=1, total=total)
+        )
     content = result.to_dict()
     if out is not None:
         write_json(out, content)
@@ -69,41 +72,31 @@ def benchmark(
         return
     console.print(_times(result))
     console.print(_comparisons(result))
+    if result.memory is not None:
+        console.print(f"Memory of a sub-environment: {result.memory / 1024:.1f} KiB.")
     console.print(_machine(content), soft_wrap=True)
-    if not has_mujoco():
-        console.print(_NO_MUJOCO, soft_wrap=True, markup=False)
+    for name, peer in PEERS.items():
+        if name not in result.microseconds:
+            console.print(_MISSING.format(peer), soft_wrap=True, markup=False)
     if out is not None:
         console.print(f"Wrote {out}.", soft_wrap=True)
 
 
 def _times(result: SpeedResult) -> Table:
-    table = _table(f"Microseconds a step, {result.rounds} rounds")
+    table = _table(f"Microseconds of an arm's time step, {result.rounds} rounds")
+    table.add_column("times real time", justify="right")
     for name, spread in result.spreads.items():
-        table.add_row(name, *(f"{value:.2f}" for value in spread.to_dict().values()))
+        figures = (f"{value:.3f}" for value in spread.to_dict().values())
+        table.add_row(name, *figures, f"{result.real_time(name):,.0f}")
     return table
 
 
 def _comparisons(result: SpeedResult) -> Table:
-    from octoarm_agents.benchmark.speed import (
-        ENV_BARE,
-        ENV_MADE,
-        OVERHEAD_TARGET,
-    )
-
     table = _table("Compared round by round")
-    rows = (
-        ("MuJoCo twin / arm, same physics", result.twin_over_arm, "×"),
-        ("MuJoCo twin / arm in water with volume forces", result.twin_over_wet_arm, "×"),
-        (
-            f"OctoArmEnv.step beyond its physics (target ≤ {OVERHEAD_TARGET:g} µs)",
-            result.overhead(ENV_BARE),
-            "µs",
-        ),
-        ("gym.make's step beyond its physics", result.overhead(ENV_MADE), "µs"),
-    )
-    for name, spread, unit in rows:
-        if spread is not None:
-            table.add_row(name, *(f"{value:.1f} {unit}" for value in spread.to_dict().values()))
+    for ratio in result.ratios():
+        digits = 0 if ratio.unit == "a second" else 2 if ratio.spread.median < 10 else 1
+        figures = (f"{value:,.{digits}f} {ratio.unit}" for value in ratio.spread.to_dict().values())
+        table.add_row(ratio.label, *figures)
     return table
 
 

@@ -47,7 +47,7 @@ def body(
     evaluations: Annotated[
         int,
         typer.Option(
-            help="Bodies tried for each lift sign and reading, a fifth of a second each.",
+            help="Bodies tried for each lift sign and reading, a twentieth of a second each.",
             callback=number_between(1, 1_000_000),
         ),
     ] = 600,

@@ -12,7 +12,7 @@ from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.experiments.runner import Context, ResultTable
 from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
-from octoarm_agents.experiments.task1_trials import leave_out_compartments
+from octoarm_agents.experiments.task1_trials import leave_out_compartments, record_trials
 
 __all__ = ["draw_ratios", "ratio_table", "run_ratios"]
 
@@ -47,6 +47,7 @@ def run_ratios(
             {"kind": "sines", "amplitude": amplitude, "seed": context.seed, "trial": trial}
             for trial in range(context.trials)
         ],
+        record=record_trials,
     )
     finished = [trial for trial in trials if trial["failure"] is None]
     tasks: dict[str, Any] = {}

@@ -17,7 +17,7 @@ from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
-from octoarm_agents.experiments.task1_trials import score_arm
+from octoarm_agents.experiments.task1_trials import record_trials, score_arm
 
 __all__ = ["EXPERIMENT", "RANGES", "SENSOR_NOISE", "check_features"]
 
@@ -60,6 +60,7 @@ def run(context: Context) -> dict[str, Any]:
             for amplitude in ranges
             for trial in range(context.trials)
         ],
+        record=record_trials,
     )
     by_range = {
         amplitude: results[index * context.trials : (index + 1) * context.trials]

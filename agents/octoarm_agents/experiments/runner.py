@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments.trials import Settings, Trial, run_trials
+from octoarm_agents.experiments.trials import Record, Settings, Trial, run_trials
 from octoarm_agents.files import write_atomically, write_json
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_env import ArmParameters
@@ -64,7 +64,13 @@ class Context:
             if value is not None and value < low:
                 raise ValueError(f"{name} = {value}: expected at least {low}")
 
-    def run(self, name: str, function: Trial, settings: Sequence[Settings]) -> list[dict[str, Any]]:
+    def run(
+        self,
+        name: str,
+        function: Trial,
+        settings: Sequence[Settings],
+        record: Record | None = None,
+    ) -> list[dict[str, Any]]:
         """Call ``function(parameters, **settings)`` for all settings; see `run_trials`.
 
         Args:
@@ -72,6 +78,7 @@ class Context:
             function: one trial, in a module that draws nothing: a change of it, or of what it
                 imports, makes the stored trials invalid.
             settings: keyword arguments of each trial.
+            record: computes together what several trials need; None: each is by itself.
 
         Returns:
             The results, in order.
@@ -80,6 +87,7 @@ class Context:
             function,
             self.parameters,
             settings,
+            record=record,
             folder=self.out / f".{name}-trials",
             jobs=self.jobs,
             fresh=self.fresh,

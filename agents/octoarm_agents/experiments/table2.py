@@ -24,7 +24,7 @@ from octoarm_agents.experiments.task1 import (
     TRIALS,
     check_timestep,
 )
-from octoarm_agents.experiments.task1_trials import compare_methods
+from octoarm_agents.experiments.task1_trials import compare_methods, record_trials
 from octoarm_agents.reservoir.baselines import BASELINES
 
 __all__ = ["EXPERIMENT"]
@@ -59,6 +59,7 @@ def run(context: Context) -> dict[str, Any]:
             for kind in INPUTS
             for trial in range(context.trials)
         ],
+        record=record_trials,
     )
     sines, iid = results[: context.trials], results[context.trials :]
     table = _tabulate(sines, amplitudes["sines"])

@@ -7,6 +7,7 @@ of features may use what is known at t, and is to give y(t + 1).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,8 @@ from octoarm_agents.reservoir.inputs import (
     smooth_noise,
 )
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_env import Arm, ArmParameters
+from octoarm_agents.reservoir.recording import Recording, record_arms
+from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = [
     "HOLD_STEPS",
@@ -40,6 +42,7 @@ __all__ = [
     "fit_readout",
     "mean_squared_errors",
     "record_lengths",
+    "record_many",
     "score_features",
     "trial_streams",
 ]
@@ -152,10 +155,38 @@ def record_lengths(parameters: ArmParameters, drive: Drive, amplitude: float) ->
 
     Raises:
         DomainError: the arm left its domain.
+        ValueError: a body that cannot rest, or of another timestep than the paper's.
+    """
+    (lengths,) = record_many([Arm(parameters)], [drive], [amplitude])
+    if isinstance(lengths, DomainError):
+        raise lengths
+    return lengths
+
+
+def record_many(
+    arms: Sequence[Arm], drives: Sequence[Drive], amplitudes: Sequence[float]
+) -> list[Recording]:
+    """Spring lengths of several arms, each of which follows a drive from where it is.
+
+    Args:
+        arms: at rest; they are left as they are, so that one may be given several times.
+        drives: the input of each.
+        amplitudes: R of each [degrees].
+
+    Returns:
+        For each arm what `record_lengths` gives or raises, to the bit: (T_ini + 16,000, springs)
+        [m], or the error that says where the arm left its domain, whose ``lengths`` may be None.
+
+    Raises:
         ValueError: a body with another timestep than the paper's.
     """
-    check_timestep(parameters)
-    return Arm(parameters).run(base_angles(drive.signal, amplitude, drive.peak))
+    for arm in arms:
+        check_timestep(arm.parameters)
+    angles = [
+        base_angles(drive.signal, amplitude, drive.peak)
+        for drive, amplitude in zip(drives, amplitudes, strict=True)
+    ]
+    return record_arms(arms, angles)
 
 
 def check_timestep(parameters: ArmParameters) -> None:

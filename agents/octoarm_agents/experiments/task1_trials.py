@@ -1,12 +1,13 @@
 """The trials of Task 1: each gives the errors of one run of the arm, as plain numbers.
 
-A trial whose arm leaves its domain says so in ``failure`` and has no errors of the arm.
+A trial whose arm leaves its domain says so in ``failure`` and has no errors of the arm. The arms
+of several trials are recorded in less time together than one by one (`record_trials`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -16,20 +17,39 @@ from octoarm_agents.experiments.task1 import (
     Drive,
     fit_readout,
     mean_squared_errors,
-    record_lengths,
+    record_many,
     score_features,
     trial_streams,
 )
 from octoarm_agents.reservoir.baselines import BASELINES
 from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_env import ArmParameters, DomainError
+from octoarm_agents.reservoir.recording import Recording
+from octoarm_env import Arm, ArmParameters, DomainError
 
-__all__ = ["compare_methods", "leave_out_compartments", "score_arm"]
+__all__ = ["compare_methods", "leave_out_compartments", "record_trials", "score_arm"]
 
 Float = NDArray[np.float64]
 
 SPRINGS_PER_COMPARTMENT = 4
+
+
+def record_trials(
+    parameters: ArmParameters, settings: Sequence[Mapping[str, Any]]
+) -> list[Recording]:
+    """The arms' runs of several trials, for their argument ``recording``; see `run_trials`.
+
+    Args:
+        parameters: the body.
+        settings: keyword arguments of each trial, of which ``kind``, ``amplitude``, ``seed`` and
+            ``trial`` are used.
+
+    Returns:
+        As `record_many`.
+    """
+    drives = [Drive.make(each["kind"], each["seed"], each["trial"]) for each in settings]
+    amplitudes = [each["amplitude"] for each in settings]
+    return record_many([Arm(parameters)] * len(drives), drives, amplitudes)
 
 
 def score_arm(
@@ -40,6 +60,7 @@ def score_arm(
     seed: int,
     trial: int,
     sensor_noise: Sequence[float] = (),
+    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Errors of the arm's readout, and of readouts that see the same run through noise.
 
@@ -51,6 +72,7 @@ def score_arm(
         trial: number of the trial.
         sensor_noise: half widths [m], not negative, of the uniform noise that is added to the
             lengths, for training and test; it is drawn from (seed, trial), the same at every R.
+        recording: what `record_trials` gives for this trial; None: it is recorded here.
 
     Returns:
         ``trial``, ``initial_steps``, ``failure`` (None or the message and its numbers) and, if the
@@ -67,10 +89,11 @@ def score_arm(
             )
     drive = Drive.make(kind, seed, trial)
     result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
-    try:
-        lengths = record_lengths(parameters, drive, amplitude)
-    except DomainError as error:
-        return result | {"failure": describe_domain_error(error)}
+    if recording is None:
+        (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
+    if isinstance(recording, DomainError):
+        return result | {"failure": describe_domain_error(recording)}
+    lengths = recording
     scores, readout = score_features(lengths, drive)
     (noise_stream,) = trial_streams(seed, trial, 1)
     noisy = [
@@ -88,6 +111,7 @@ def compare_methods(
     seed: int,
     trial: int,
     sensor_noise: list[float],
+    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Errors of the arm, of the baselines on the same rows, and of the arm seen through noise.
 
@@ -99,6 +123,7 @@ def compare_methods(
         trial: number of the trial.
         sensor_noise: standard deviations [m] of the normal noise that is added to the lengths, for
             training and test.
+        recording: what `record_trials` gives for this trial; None: it is recorded here.
 
     Returns:
         As `score_arm`, with ``baselines`` ({name: {phase: {task: error}}}) and ``sensor_noise``
@@ -111,10 +136,11 @@ def compare_methods(
         name: score_features(features(drive.signal, network_stream), drive)[0]
         for name, features in BASELINES.items()
     }
-    try:
-        lengths = record_lengths(parameters, drive, amplitude)
-    except DomainError as error:
-        return result | {"failure": describe_domain_error(error)}
+    if recording is None:
+        (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
+    if isinstance(recording, DomainError):
+        return result | {"failure": describe_domain_error(recording)}
+    lengths = recording
     scores, readout = score_features(lengths, drive)
     noisy = [
         score_features(lengths + noise_stream.normal(0.0, level, lengths.shape), drive)[0]
@@ -124,7 +150,13 @@ def compare_methods(
 
 
 def leave_out_compartments(
-    parameters: ArmParameters, *, kind: str, amplitude: float, seed: int, trial: int
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Errors with one compartment's four springs left out, at the test alone or from the start.
 
@@ -134,6 +166,7 @@ def leave_out_compartments(
         amplitude: R [degrees].
         seed: of the experiment.
         trial: number of the trial.
+        recording: what `record_trials` gives for this trial; None: it is recorded here.
 
     Returns:
         ``trial``, ``initial_steps``, ``failure`` and, if the arm stayed in its domain, test errors:
@@ -142,10 +175,11 @@ def leave_out_compartments(
     """
     drive = Drive.make(kind, seed, trial)
     result: dict[str, Any] = {"trial": trial, "initial_steps": drive.initial, "failure": None}
-    try:
-        lengths = record_lengths(parameters, drive, amplitude)
-    except DomainError as error:
-        return result | {"failure": describe_domain_error(error)}
+    if recording is None:
+        (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
+    if isinstance(recording, DomainError):
+        return result | {"failure": describe_domain_error(recording)}
+    lengths = recording
     readout = fit_readout(lengths, drive)
     test, targets = lengths[drive.test], drive.targets[drive.test]
     outputs = readout.predict(test)

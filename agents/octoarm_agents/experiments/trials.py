@@ -7,6 +7,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,12 +15,14 @@ from typing import Any
 
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import package_versions
+from octoarm_agents.reservoir.recording import LANES
 from octoarm_env import ArmParameters, _core
 
-__all__ = ["code_digest", "run_trials"]
+__all__ = ["code_digest", "run_trials", "share_out"]
 
 Trial = Callable[..., dict[str, Any]]
 Settings = Mapping[str, Any]
+Record = Callable[[ArmParameters, Sequence[Settings]], Sequence[Any]]
 
 
 def run_trials(
@@ -28,6 +31,7 @@ def run_trials(
     settings: Sequence[Settings],
     *,
     folder: Path,
+    record: Record | None = None,
     jobs: int = 1,
     fresh: bool = False,
     progress: bool | None = None,
@@ -37,8 +41,9 @@ def run_trials(
 
     Every result is written to `folder` as soon as its trial is finished. A later call with the same
     function, body, settings and code takes it from there, so that an interrupted run loses at
-    most the trials under way. Results do not depend on `jobs`: a trial knows its own settings only,
-    and computes with one thread.
+    most the trials under way: one in each process, or with `record` some that it has begun together
+    and not yet finished. Results do not depend on `jobs`: a trial knows its own settings only, and
+    computes with one thread.
 
     Args:
         function: at the top level of a module; what it returns must fit into JSON, and it must
@@ -46,6 +51,10 @@ def run_trials(
         parameters: the body.
         settings: keyword arguments of each trial, which must fit into JSON.
         folder: for the finished trials; made if it is not there.
+        record: computes together what several trials need: from the body and the settings of each,
+            a list with the argument ``recording`` of each. It must be in the module of `function`
+            and give what the trial computes by itself without that argument, to the bit, whatever
+            trials it is called with.
         jobs: processes.
         fresh: compute every trial anew, whatever `folder` holds.
         progress: show a bar on standard error; None: if that is a terminal.
@@ -71,13 +80,16 @@ def run_trials(
             stored = _read(file, fingerprints[index])
             if stored is not None:
                 results[index] = stored
-    missing = [index for index in range(len(settings)) if index not in results]
-    calls = (
-        delayed(_run_one)(
-            index, function, parameters, settings[index], files[index], fingerprints[index]
-        )
-        for index in missing
-    )
+    missing = [
+        (index, settings[index], files[index], fingerprints[index])
+        for index in range(len(settings))
+        if index not in results
+    ]
+    if record is None:
+        shares = [slice(index, index + 1) for index in range(len(missing))]
+    else:
+        shares = share_out(len(missing), jobs)
+    calls = (delayed(_run_share)(function, parameters, record, missing[each]) for each in shares)
     with tqdm(
         total=len(settings),
         initial=len(results),
@@ -86,30 +98,52 @@ def run_trials(
         disable=None if progress is None else not progress,
         leave=False,
     ) as bar:
-        run = Parallel(n_jobs=min(jobs, max(len(missing), 1)), return_as="generator_unordered")
-        for index, result in run(calls):
-            results[index] = result
-            bar.update()
+        run = Parallel(n_jobs=min(jobs, max(len(shares), 1)), return_as="generator_unordered")
+        for finished in run(calls):
+            results |= finished
+            bar.update(len(finished))
     return [results[index] for index in range(len(settings))]
 
 
-def _run_one(
-    index: int,
+def share_out(count: int, jobs: int) -> list[slice]:
+    """Divide runs into shares that are computed together: even ones, so that no process idles.
+
+    Args:
+        count: number of runs.
+        jobs: processes.
+
+    Returns:
+        The shares, in order; each of at most `LANES` runs and of at most count / jobs, rounded up.
+    """
+    if count == 0:
+        return []
+    rounds = math.ceil(count / (jobs * LANES))
+    size = math.ceil(count / (jobs * rounds))
+    return [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
+
+
+def _run_share(
     function: Trial,
     parameters: ArmParameters,
-    settings: Settings,
-    file: Path,
-    fingerprint: dict[str, Any],
-) -> tuple[int, dict[str, Any]]:
-    """One trial, in the process that computes it: what is finished is stored at once."""
+    record: Record | None,
+    share: Sequence[tuple[int, Settings, Path, dict[str, Any]]],
+) -> dict[int, dict[str, Any]]:
+    """Some trials, in the process that computes them: what is finished is stored at once."""
     from threadpoolctl import threadpool_limits
 
+    results = {}
     # Sums split over threads are rounded otherwise; and the processes are what fills the machine.
     with threadpool_limits(1):
-        result = function(parameters, **settings)
-    write_json(file, {"fingerprint": fingerprint, "result": result})
-    # As a later run would read it.
-    return index, json.loads(json.dumps(result))
+        known: list[dict[str, Any]] = [{} for _ in share]
+        if record is not None:
+            recordings = record(parameters, [settings for _, settings, _, _ in share])
+            known = [{"recording": recording} for recording in recordings]
+        for (index, settings, file, fingerprint), more in zip(share, known, strict=True):
+            result = function(parameters, **settings, **more)
+            write_json(file, {"fingerprint": fingerprint, "result": result})
+            # As a later run would read it.
+            results[index] = json.loads(json.dumps(result))
+    return results
 
 
 def _fingerprint(function: Trial, parameters: ArmParameters, settings: Settings) -> dict[str, Any]:

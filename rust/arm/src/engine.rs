@@ -479,3 +479,35 @@ impl Engine<1> {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::BaseDrive;
+    use crate::{Actuator, ArmParameters};
+
+    #[test]
+    fn what_lies_beyond_the_tip_stays_at_rest() {
+        // Twenty compartments leave four of the third chunk's slots empty. Were they to drift, every
+        // step would look as if it left the domain, and be checked twice.
+        let parameters = ArmParameters::default();
+        let drive = BaseDrive::new(&[(&parameters, Actuator::Servo)]);
+        let mut engine = Engine::<1>::new(&[&parameters]);
+        let (before, rates) = (engine.coordinates[2], engine.rates[2]);
+        let mut base = [[0.0]; 4];
+        for step in 0..500 {
+            let angle = 0.3 * (0.02 * f64::from(step)).sin();
+            let motion = drive.motion(&base, &[[angle], [0.5 * angle]]);
+            base = motion[2].state();
+            assert!(engine.advance(InstructionSet::detected(), &motion) == [true]);
+            engine.accept();
+        }
+        for k in 4..WIDTH {
+            for row in 0..COORDINATES {
+                assert_eq!(engine.coordinates[2].0[row][k], before.0[row][k]);
+                assert_eq!(engine.rates[2].0[row][k], rates.0[row][k]);
+            }
+        }
+        assert_ne!(engine.coordinates[2].0[1][3], before.0[1][3]);
+    }
+}

@@ -455,8 +455,17 @@ pub(crate) fn accelerations<const L: usize>(
     workspace: &Workspace,
     out: &mut Block,
 ) {
-    let range = in_chunk::<L>(body.compartments, c);
-    articulated::outward::<L>(range, travel, coordinates, &workspace.links[c], out);
+    let slots = in_chunk::<L>(body.compartments, c);
+    let beyond = slots.end;
+    articulated::outward::<L>(slots, travel, coordinates, &workspace.links[c], out);
+    // What lies beyond the tip stays at rest.
+    if L < WIDTH {
+        for row in &mut out.0 {
+            for k in beyond..WIDTH {
+                row[k] = 0.0;
+            }
+        }
+    }
 }
 
 /// First slots of the compartments of chunk `c`.
