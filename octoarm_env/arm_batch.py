@@ -18,8 +18,8 @@ class BatchRun(NamedTuple):
     """What a run of N arms over T steps gave.
 
     Attributes:
-        lengths: (N, T, 4 n), the spring lengths after each step [m]; those of an arm that was
-            stopped are repeated from there on.
+        lengths: (N, T // stride, 4 n), the spring lengths after every `stride`-th step [m]; those
+            of an arm that was stopped are repeated from there on.
         steps: (N,) int64, the steps that each arm has made.
         failures: N entries, the :class:`octoarm_env.DomainError` that stopped an arm, or None.
         outputs: (N, T, 2), the readouts' outputs in closed loop [degrees]; None in open loop.
@@ -77,11 +77,12 @@ class ArmBatch:
             [(state.coordinates, state.rates, state.base, state.steps) for state in states]
         )
 
-    def run(self, angles: ArrayLike) -> BatchRun:
+    def run(self, angles: ArrayLike, *, stride: int = 1) -> BatchRun:
         """Follow sequences of commands, one a physics step.
 
         Args:
             angles: (T, 2), θ and φ for all arms, or (N, T, 2) [degrees].
+            stride: steps from one row of lengths to the next.
 
         Returns:
             Lengths, steps and failures. An arm whose step would leave the domain of the model stops
@@ -91,11 +92,16 @@ class ArmBatch:
             ValueError, TypeError: a wrong shape or dtype, numbers that are not finite, or angles
                 beyond ±3600 degrees; no step is made then.
         """
-        lengths, (steps, failures) = self._core.run(angles)
+        lengths, (steps, failures) = self._core.run(angles, stride)
         return BatchRun(lengths, steps, tuple(failures))
 
     def run_closed_loop(
-        self, weights: ArrayLike, steps: int, perturbation: ArrayLike | None = None
+        self,
+        weights: ArrayLike,
+        steps: int,
+        perturbation: ArrayLike | None = None,
+        *,
+        stride: int = 1,
     ) -> BatchRun:
         """Feed linear readouts of the spring lengths back as base commands (Eqs. 24-26).
 
@@ -103,6 +109,7 @@ class ArmBatch:
             weights: (4 n, 2) for all arms, or (N, 4 n, 2); with one row more, the last is the bias.
             steps: number of physics steps T.
             perturbation: (T, 2) for all arms, or (N, T, 2), added to the outputs [degrees].
+            stride: steps from one row of lengths to the next; outputs are given for every step.
 
         Returns:
             Lengths, steps, failures and outputs, as :meth:`run`.
@@ -111,7 +118,7 @@ class ArmBatch:
             ValueError, TypeError: as :meth:`run`.
         """
         outputs, lengths, (made, failures) = self._core.run_closed_loop(
-            weights, steps, perturbation
+            weights, steps, perturbation, stride
         )
         return BatchRun(lengths, made, tuple(failures), outputs)
 

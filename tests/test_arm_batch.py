@@ -72,6 +72,23 @@ def test_closed_loop() -> None:
     assert batch.run_closed_loop(weights[0], 0).lengths.shape[:2] == (9, 0)
 
 
+@pytest.mark.parametrize("stride", [7, 300, STEPS, 2 * STEPS])
+def test_lengths_of_every_few_steps(stride: int) -> None:
+    angles, weights = drives(3), np.zeros((80, 2))
+    whole, thin = ArmBatch(arms(3)), ArmBatch(arms(3))
+    every, some = whole.run(angles), thin.run(angles, stride=stride)
+    assert some.lengths.shape == (3, STEPS // stride, 80)
+    assert np.array_equal(some.lengths, every.lengths[:, stride - 1 :: stride])
+    assert some.steps.tolist() == [STEPS] * 3
+    assert whole.states == thin.states
+    every = whole.run_closed_loop(weights, 700, 0.01 * angles[:, :700])
+    some = thin.run_closed_loop(weights, 700, 0.01 * angles[:, :700], stride=stride)
+    assert np.array_equal(some.lengths, every.lengths[:, stride - 1 :: stride])
+    assert np.array_equal(some.outputs, every.outputs)
+    with pytest.raises(ValueError, match="stride = 0: expected 1 to"):
+        thin.run(angles, stride=0)
+
+
 def test_an_arm_that_fails_stops_and_the_others_go_on() -> None:
     angles = drives(4)
     angles[2, 1200:] = np.where(np.arange(300) % 2, 90.0, -90.0)[:, None]

@@ -218,15 +218,16 @@ def batch(parameters: ArmParameters, arms: int, signal: Float, threads: int = 1)
     made = ArmBatch([Arm(parameters)] * arms, threads=threads)
     states = made.states
     dry = parameters.water_density == 0.0
-    # At most some 13 MB of lengths a call: what is bigger is paid for in pages, not in physics.
-    block = max(20, 20_000 // arms)
+    # As many lengths as an environment sees. A megabyte or two of them a call, if that are steps
+    # enough: more is paid for in fresh pages of memory, not in physics.
+    block = max(PHYSICS_STEPS, 32_000 // arms)
 
     def restore() -> None:
         made.states = states
 
     def run(steps: int) -> None:
         for begin in range(0, steps, block):
-            made.run(signal[begin : min(begin + block, steps)])
+            made.run(signal[begin : min(begin + block, steps)], stride=PHYSICS_STEPS)
 
     name = batch_name(arms, threads, dry=dry)
     return Contender(name, restore, run, len(signal), arms=arms)

@@ -70,11 +70,16 @@ pub(crate) fn find_failure(
     None
 }
 
+/// More than rounding makes of a squared length and its bounds, as a share: what the words of
+/// [`find_failure`] would call outside must not pass as inside.
+const ROUNDING: f64 = 1e-14;
+
 /// Bounds of a chunk's rows, so that the check in the loop is straight-line comparisons.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Bounds {
     height: [Row; 2],
+    /// Of the squared length.
     length: [Row; 2],
 }
 
@@ -87,8 +92,8 @@ impl Bounds {
                 row(|arm| HEIGHT.1 * arm.rest_height()),
             ],
             length: [
-                row(|arm| SPRING_LENGTH.0 * arm.rest_length),
-                row(|arm| SPRING_LENGTH.1 * arm.rest_length),
+                row(|arm| (SPRING_LENGTH.0 * arm.rest_length).powi(2) * (1.0 + ROUNDING)),
+                row(|arm| (SPRING_LENGTH.1 * arm.rest_length).powi(2) * (1.0 - ROUNDING)),
             ],
         }
     }

@@ -175,7 +175,7 @@ impl<const L: usize> Engine<L> {
             next_lengths: vec![Lengths::ZERO; chunks],
             stage_coordinates: at_rest.clone(),
             stage_rates: vec![Block::ZERO; chunks],
-            workspace: Workspace::new(chunks),
+            workspace: Workspace::new::<L>(chunks),
             trigonometry_known: false,
             coordinates: at_rest,
         };
@@ -198,7 +198,24 @@ impl<const L: usize> Engine<L> {
     /// Length of spring `i` of compartment `j`.
     pub(crate) fn length(&self, lane: usize, j: usize, i: usize) -> f64 {
         let (chunk, slot) = place::<L>(j);
-        self.lengths[chunk].0[i][slot + lane]
+        self.lengths[chunk].0[i][slot + lane].sqrt()
+    }
+
+    /// Writes the lengths of an arm's springs, compartment by compartment.
+    pub(crate) fn lengths_into(&self, lane: usize, out: &mut [f64]) {
+        let (out, _) = out.as_chunks_mut::<4>();
+        for (out, squares) in out.chunks_mut(WIDTH / L).zip(&self.lengths) {
+            // The slots of this lane in the chunk, one a compartment.
+            let mut roots = [[0.0; WIDTH]; 4];
+            for i in 0..4 {
+                for (root, k) in roots[i].iter_mut().zip((lane..WIDTH).step_by(L)) {
+                    *root = squares.0[i][k].sqrt();
+                }
+            }
+            for (j, lengths) in out.iter_mut().enumerate() {
+                *lengths = [roots[0][j], roots[1][j], roots[2][j], roots[3][j]];
+            }
+        }
     }
 
     /// What [`Engine::coordinate`], [`Engine::rate`] and [`Engine::length`] would be after the step
@@ -213,7 +230,7 @@ impl<const L: usize> Engine<L> {
         (
             std::array::from_fn(|index| self.next_coordinates[chunk].0[index][k]),
             std::array::from_fn(|index| self.next_rates[chunk].0[index][k]),
-            std::array::from_fn(|index| self.next_lengths[chunk].0[index][k]),
+            std::array::from_fn(|index| self.next_lengths[chunk].0[index][k].sqrt()),
         )
     }
 
@@ -313,6 +330,11 @@ impl<const L: usize> Engine<L> {
         let (stage_q, stage_u) = (&mut self.stage_coordinates, &mut self.stage_rates);
         let (next_q, next_u) = (&mut self.next_coordinates, &mut self.next_rates);
         let chunks = coordinates.len();
+        let next_lengths = &mut self.next_lengths;
+        // Said once, so that no index need be checked below.
+        assert!(rates.len() == chunks && body.rest.len() == chunks && workspace.len() == chunks);
+        assert!(stage_q.len() == chunks && stage_u.len() == chunks);
+        assert!(next_q.len() == chunks && next_u.len() == chunks && next_lengths.len() == chunks);
         let mut outside = Lengths::ZERO;
         let outside = &mut outside.0[0];
         let mut a = Block::ZERO;
@@ -349,7 +371,7 @@ impl<const L: usize> Engine<L> {
                         _ => {
                             accumulate(&shares.sixth, &stage_u[c], &mut next_q[c]);
                             accumulate(&shares.sixth, &a, &mut next_u[c]);
-                            let lengths = &mut self.next_lengths[c];
+                            let lengths = &mut next_lengths[c];
                             spring_lengths::<L>(body, next_q, next_u, c, workspace, lengths);
                             mark_outside(
                                 &self.bounds,

@@ -176,11 +176,7 @@ impl<const L: usize> Lanes<L> {
 
     /// Writes an arm's spring lengths in observation order.
     pub(crate) fn lengths_into(&self, lane: usize, out: &mut [f64]) {
-        for (j, row) in out[..self.observation_len()].chunks_exact_mut(4).enumerate() {
-            for (i, value) in row.iter_mut().enumerate() {
-                *value = self.engine.length(lane, j, i);
-            }
-        }
+        self.engine.lengths_into(lane, &mut out[..self.observation_len()]);
     }
 
     /// The bases' motion over the next step under commands in degrees: start, middle and end.

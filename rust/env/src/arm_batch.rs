@@ -22,23 +22,26 @@ pub struct ArmBatch {
 struct Errand<'a> {
     lanes: &'a mut ArmLanes,
     first: usize,
+    steps: usize,
+    stride: usize,
     stops: &'a mut [Option<Stop>],
+    /// What the readouts say, an entry a step; empty in open loop.
     outputs: Vec<&'a mut [[f64; 2]]>,
     lengths: Vec<&'a mut [f64]>,
 }
 
 impl Errand<'_> {
-    /// Runs the group: `command(arm, step, lengths)` gives the command and what to note as output.
+    /// Runs the group: `command(arm, step, lengths)` gives the command and what to note as output; in
+    /// open loop the lengths are those at the start.
     fn run(mut self, command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync)) {
         let (count, width) = (self.lanes.len(), self.lanes.observation_len());
-        let steps = self.lengths.first().map_or(0, |rows| rows.len() / width);
         let mut now = vec![0.0; count * width];
         for (lane, row) in now.chunks_exact_mut(width).enumerate() {
             self.lanes.lengths_into(lane, row);
         }
         let mut commands = [[0.0; 2]; WIDTH];
-        for step in 0..steps {
-            let mut moves = [false; WIDTH];
+        let mut moves = [false; WIDTH];
+        for step in 0..self.steps {
             for (lane, row) in now.chunks_exact(width).enumerate() {
                 moves[lane] = self.stops[lane].is_none();
                 let (angles, output) = command(self.first + lane, step, row);
@@ -54,9 +57,14 @@ impl Errand<'_> {
                     }
                 }
             }
-            for (lane, row) in now.chunks_exact_mut(width).enumerate() {
-                self.lanes.lengths_into(lane, row);
-                self.lengths[lane][step * width..(step + 1) * width].copy_from_slice(row);
+            for (lane, _) in self.outputs.iter().enumerate() {
+                self.lanes.lengths_into(lane, &mut now[lane * width..(lane + 1) * width]);
+            }
+            if (step + 1) % self.stride == 0 {
+                let row = step / self.stride * width;
+                for (lane, rows) in self.lengths.iter_mut().enumerate() {
+                    self.lanes.lengths_into(lane, &mut rows[row..row + width]);
+                }
             }
         }
     }
@@ -125,31 +133,34 @@ impl ArmBatch {
     }
 
     /// Every arm follows its commands \[degrees\], all the same number of them; the lengths after
-    /// each step go to that arm's entry of `lengths`. An arm with a stop in `stops` stands still; one
+    /// every `stride`-th step go to that arm's entry of `lengths`. An arm with a stop in `stops` stands still; one
     /// whose step would leave the domain gets one, and stands still from there, its lengths repeated.
     ///
     /// # Panics
-    /// If the numbers of entries do not fit.
+    /// If the numbers of entries do not fit, or `stride` is 0.
     pub fn run(
         &mut self,
         commands: &[&[[f64; 2]]],
+        stride: usize,
         lengths: Vec<&mut [f64]>,
         stops: &mut [Option<Stop>],
     ) {
         assert_eq!(commands.len(), self.count, "commands of every arm");
         let command = |arm: usize, step: usize, _: &[f64]| (commands[arm][step], [0.0; 2]);
-        self.run_with(&command, Vec::new(), lengths, stops);
+        let steps = commands.first().map_or(0, |commands| commands.len());
+        self.run_with(&command, steps, stride, Vec::new(), lengths, stops);
     }
 
     /// Closes every arm's loop through its readout (Eqs. 24–26), as [`Arm::run_closed_loop`] does;
     /// what the readouts say goes to `outputs`. Stops are as in [`ArmBatch::run`].
     ///
     /// # Panics
-    /// If the numbers of entries do not fit.
+    /// If the numbers of entries do not fit, or `stride` is 0.
     pub fn run_closed_loop(
         &mut self,
         readouts: &[&LinearReadout],
         perturbations: Option<&[&[[f64; 2]]]>,
+        stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
         stops: &mut [Option<Stop>],
@@ -161,12 +172,15 @@ impl ArmBatch {
             let push = perturbations.map_or([0.0; 2], |rows| rows[arm][step]);
             ([said[0] + push[0], said[1] + push[1]], said)
         };
-        self.run_with(&command, outputs, lengths, stops);
+        let steps = outputs.first().map_or(0, |outputs| outputs.len());
+        self.run_with(&command, steps, stride, outputs, lengths, stops);
     }
 
     fn run_with(
         &mut self,
         command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync),
+        steps: usize,
+        stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
         stops: &mut [Option<Stop>],
@@ -184,6 +198,8 @@ impl ArmBatch {
                 lengths: lengths.by_ref().take(lanes.len()).collect(),
                 lanes,
                 first: index * WIDTH,
+                steps,
+                stride,
                 stops,
             })
             .collect();

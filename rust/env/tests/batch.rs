@@ -261,7 +261,7 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
         let mut lengths = vec![0.0; arms.len() * steps * width];
         let mut stops = vec![None; arms.len()];
         let commands: Vec<&[[f64; 2]]> = drives.iter().map(Vec::as_slice).collect();
-        batch.run(&commands, lengths.chunks_exact_mut(steps * width).collect(), &mut stops);
+        batch.run(&commands, 1, lengths.chunks_exact_mut(steps * width).collect(), &mut stops);
         for (index, arm) in arms.iter().enumerate() {
             let mut arm = arm.clone();
             let mut alone = vec![0.0; steps * width];
@@ -289,6 +289,7 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
         batch.run_closed_loop(
             &readouts,
             Some(&push),
+            1,
             outputs.chunks_exact_mut(steps).collect(),
             lengths.chunks_exact_mut(steps * width).collect(),
             &mut stops,

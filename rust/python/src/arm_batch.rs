@@ -30,10 +30,9 @@ pub(crate) struct ArmBatch {
 fn zeros<T: Copy>(zero: T, count: Option<usize>, steps: usize) -> PyResult<Vec<T>> {
     let refuse = || PyValueError::new_err(format!("{steps} steps: not enough memory"));
     let count = count.filter(|count| *count <= isize::MAX as usize / 16).ok_or_else(refuse)?;
-    let mut values = Vec::new();
-    values.try_reserve_exact(count).map_err(|_| refuse())?;
-    values.resize(count, zero);
-    Ok(values)
+    // Asked for and given back: memory that the system hands out zeroed need not be written twice.
+    Vec::<T>::new().try_reserve_exact(count).map_err(|_| refuse())?;
+    Ok(vec![zero; count])
 }
 
 /// Rows of an array (T, 2), the same for every arm, or (N, T, 2).
@@ -72,11 +71,12 @@ fn ends<'py>(py: Python<'py>, stops: &[Option<Stop>], steps: usize) -> PyResult<
 }
 
 impl ArmBatch {
-    /// Runs block after block; `run` gets the first step of a block and the blocks' lengths.
+    /// Runs block after block; `run` gets the steps of a block and its rows of lengths.
     fn blocks(
         &mut self,
         py: Python<'_>,
         steps: usize,
+        stride: usize,
         mut run: impl FnMut(
             &mut octoarm_env::ArmBatch,
             std::ops::Range<usize>,
@@ -85,16 +85,19 @@ impl ArmBatch {
         ) + Send,
     ) -> PyResult<(Vec<f64>, Vec<Option<Stop>>)> {
         let (arms, width) = (self.inner.len(), self.inner.observation_len());
-        let cells = steps.checked_mul(width).and_then(|cells| cells.checked_mul(arms));
+        let rows = steps / stride;
+        let cells = rows.checked_mul(width).and_then(|cells| cells.checked_mul(arms));
         let mut lengths = zeros(0.0, cells, steps)?;
         let mut stops: Vec<Option<Stop>> = vec![None; arms];
         let mut done = 0;
         while done < steps {
-            let block = done..steps.min(done + BLOCK);
-            let rows = lengths
-                .chunks_exact_mut(steps * width)
-                .map(|arm| &mut arm[block.start * width..block.end * width])
-                .collect();
+            let block = done..steps.min(done.saturating_add(BLOCK.next_multiple_of(stride)));
+            let (from, to) = (block.start / stride * width, block.end / stride * width);
+            let rows = if rows == 0 {
+                (0..arms).map(|_| <&mut [f64]>::default()).collect()
+            } else {
+                lengths.chunks_exact_mut(rows * width).map(|arm| &mut arm[from..to]).collect()
+            };
             let before: Vec<bool> = stops.iter().map(Option::is_some).collect();
             let (inner, stops_now) = (&mut self.inner, &mut stops);
             py.detach(|| run(inner, block.clone(), rows, stops_now));
@@ -110,9 +113,16 @@ impl ArmBatch {
         Ok((lengths, stops))
     }
 
-    fn cube<'py>(&self, py: Python<'py>, flat: Vec<f64>, steps: usize) -> PyResult<Cube<'py>> {
-        let columns = if steps == 0 { 0 } else { flat.len() / (self.inner.len() * steps) };
-        flat.into_pyarray(py).reshape([self.inner.len(), steps, columns])
+    fn cube<'py>(&self, py: Python<'py>, flat: Vec<f64>, columns: usize) -> PyResult<Cube<'py>> {
+        let rows = flat.len() / (self.inner.len() * columns);
+        flat.into_pyarray(py).reshape([self.inner.len(), rows, columns])
+    }
+
+    /// A number of steps from one row of lengths to the next.
+    fn stride(stride: i64) -> PyResult<usize> {
+        usize::try_from(stride).ok().filter(|stride| (1..=1 << 32).contains(stride)).ok_or_else(
+            || PyValueError::new_err(format!("stride = {stride}: expected 1 to {}", 1_u64 << 32)),
+        )
     }
 }
 
@@ -137,7 +147,9 @@ impl ArmBatch {
         &mut self,
         py: Python<'py>,
         angles: &Bound<'py, PyAny>,
+        stride: i64,
     ) -> PyResult<(Cube<'py>, Ends<'py>)> {
+        let stride = Self::stride(stride)?;
         let angles = Rows::read("angles", angles, self.inner.len())?;
         for (row, command) in angles.rows.iter().enumerate() {
             octoarm_arm::check_command(*command).map_err(|error| {
@@ -149,22 +161,24 @@ impl ArmBatch {
         }
         let steps = angles.steps;
         let arms = self.inner.len();
-        let (lengths, stops) = self.blocks(py, steps, |inner, block, lengths, stops| {
+        let (lengths, stops) = self.blocks(py, steps, stride, |inner, block, lengths, stops| {
             let commands: Vec<&[[f64; 2]]> =
                 (0..arms).map(|arm| &angles.of(arm)[block.clone()]).collect();
-            inner.run(&commands, lengths, stops);
+            inner.run(&commands, stride, lengths, stops);
         })?;
-        Ok((self.cube(py, lengths, steps)?, ends(py, &stops, steps)?))
+        let width = self.inner.observation_len();
+        Ok((self.cube(py, lengths, width)?, ends(py, &stops, steps)?))
     }
 
-    #[pyo3(signature = (weights, steps, perturbation))]
     fn run_closed_loop<'py>(
         &mut self,
         py: Python<'py>,
         weights: &Bound<'py, PyAny>,
         steps: i64,
         perturbation: Option<&Bound<'py, PyAny>>,
+        stride: i64,
     ) -> PyResult<(Cube<'py>, Cube<'py>, Ends<'py>)> {
+        let stride = Self::stride(stride)?;
         let steps = usize::try_from(steps).map_err(|_| {
             PyValueError::new_err(format!("steps = {steps}: expected a number of steps, 0 or more"))
         })?;
@@ -197,15 +211,15 @@ impl ArmBatch {
         }
         let mut outputs = zeros([0.0; 2], steps.checked_mul(arms), steps)?;
         let said = &mut outputs;
-        let (lengths, stops) = self.blocks(py, steps, |inner, block, lengths, stops| {
+        let (lengths, stops) = self.blocks(py, steps, stride, |inner, block, lengths, stops| {
             let push: Option<Vec<&[[f64; 2]]>> = perturbation
                 .as_ref()
                 .map(|rows| (0..arms).map(|arm| &rows.of(arm)[block.clone()]).collect());
             let said = said.chunks_exact_mut(steps).map(|arm| &mut arm[block.clone()]).collect();
-            inner.run_closed_loop(&readouts, push.as_deref(), said, lengths, stops);
+            inner.run_closed_loop(&readouts, push.as_deref(), stride, said, lengths, stops);
         })?;
-        let outputs = self.cube(py, outputs.into_flattened(), steps)?;
-        Ok((outputs, self.cube(py, lengths, steps)?, ends(py, &stops, steps)?))
+        let outputs = self.cube(py, outputs.into_flattened(), 2)?;
+        Ok((outputs, self.cube(py, lengths, width)?, ends(py, &stops, steps)?))
     }
 
     fn get_states<'py>(&self, py: Python<'py>) -> PyResult<Vec<State<'py>>> {

@@ -169,7 +169,8 @@ impl Muscles {
         Self { longitudinal: [[0.0; WIDTH]; 4], transverse: [[0.0; WIDTH]; 4] };
 }
 
-/// Lengths of a chunk's four longitudinal springs \[m\].
+/// Squared lengths of a chunk's four longitudinal springs \[m²\]; the root is taken when somebody
+/// asks.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Lengths(pub(crate) [Row; 4]);
@@ -246,6 +247,8 @@ pub(crate) const BLOCK: usize = 3;
 #[derive(Clone, Debug)]
 pub(crate) struct Workspace {
     links: Vec<Link>,
+    /// Where floors are gathered; none for lanes, which need no gathering.
+    floors: Vec<Floor>,
     scratch: Box<Scratch>,
 }
 
@@ -254,7 +257,6 @@ pub(crate) struct Workspace {
 #[derive(Clone, Debug)]
 struct Scratch {
     flows: [kinematics::Flow; BLOCK],
-    floor: Floor,
     top: springs::Top,
     /// Of this chunk and of the one further from the base, in turns.
     bottoms: [springs::Bottom; 2],
@@ -263,12 +265,18 @@ struct Scratch {
 }
 
 impl Workspace {
-    pub(crate) fn new(chunks: usize) -> Self {
+    /// Number of chunks.
+    #[inline(always)]
+    pub(crate) fn len(&self) -> usize {
+        self.links.len()
+    }
+
+    pub(crate) fn new<const L: usize>(chunks: usize) -> Self {
         Self {
             links: vec![Link::ZERO; chunks],
+            floors: vec![Floor::ZERO; if L < WIDTH { chunks } else { 0 }],
             scratch: Box::new(Scratch {
                 flows: [kinematics::Flow::ZERO; BLOCK],
-                floor: Floor::ZERO,
                 top: springs::Top::ZERO,
                 bottoms: [springs::Bottom::ZERO; 2],
                 gathered: springs::Bottom::ZERO,
@@ -298,30 +306,58 @@ fn shift_outward<const L: usize>(before: &Row, this: &Row, out: &mut Row) {
     }
 }
 
-/// The radii of chunk `c`'s floors, one compartment nearer the base, and their rates; in `gathered`
-/// if they do not stand in neighbouring slots of one chunk anyway.
+/// The chunk that holds the compartments one nearer the base than the first of chunk `c`.
 #[inline(always)]
-fn floor<'a, const L: usize>(
+fn before<'a, const L: usize>(
     body: &'a Body<L>,
     coordinates: &'a [Block],
     rates: &'a [Block],
     c: usize,
-    gathered: &'a mut Floor,
-) -> FloorRef<'a> {
-    let (before, before_rates) =
-        if c == 0 { (&*body.base, &Block::ZERO) } else { (&coordinates[c - 1], &rates[c - 1]) };
-    if L == WIDTH {
-        return FloorRef { radius: before.radii(), rate: before_rates.radii() };
+) -> (&'a Block, &'a Block) {
+    match c.checked_sub(1) {
+        None => (&body.base, &Block::ZERO),
+        Some(before) => (&coordinates[before], &rates[before]),
     }
-    for i in 3..COORDINATES {
-        let (radius, rate) = (&coordinates[c].0[i], &rates[c].0[i]);
-        shift_outward::<L>(&before.0[i], radius, &mut gathered.radius[i - 3]);
-        shift_outward::<L>(&before_rates.0[i], rate, &mut gathered.rate[i - 3]);
-    }
-    FloorRef { radius: &gathered.radius, rate: &gathered.rate }
 }
 
-/// Lengths of a chunk's longitudinal springs. Leaves the sines and cosines of its joints in the
+/// The radii of chunk `c`'s floors, one compartment nearer the base, and their rates: gathered into
+/// `place`, unless they stand in neighbouring slots of one chunk anyway.
+#[inline(always)]
+fn gather_floor<'a, const L: usize>(
+    body: &'a Body<L>,
+    coordinates: &'a [Block],
+    rates: &'a [Block],
+    c: usize,
+    place: &'a mut [Floor],
+) -> FloorRef<'a> {
+    if L < WIDTH {
+        let (radii, radius_rates) = before::<L>(body, coordinates, rates, c);
+        for i in 0..4 {
+            let (radius, rate) = (&coordinates[c].0[3 + i], &rates[c].0[3 + i]);
+            shift_outward::<L>(&radii.0[3 + i], radius, &mut place[c].radius[i]);
+            shift_outward::<L>(&radius_rates.0[3 + i], rate, &mut place[c].rate[i]);
+        }
+    }
+    gathered_floor::<L>(body, coordinates, rates, c, place)
+}
+
+/// What [`gather_floor`] gave.
+#[inline(always)]
+fn gathered_floor<'a, const L: usize>(
+    body: &'a Body<L>,
+    coordinates: &'a [Block],
+    rates: &'a [Block],
+    c: usize,
+    place: &'a [Floor],
+) -> FloorRef<'a> {
+    if L < WIDTH {
+        return FloorRef { radius: &place[c].radius, rate: &place[c].rate };
+    }
+    let (radii, radius_rates) = before::<L>(body, coordinates, rates, c);
+    FloorRef { radius: radii.radii(), rate: radius_rates.radii() }
+}
+
+/// Squared lengths of a chunk's longitudinal springs. Leaves the sines and cosines of its joints in the
 /// workspace.
 #[inline(always)]
 pub(crate) fn spring_lengths<const L: usize>(
@@ -332,10 +368,11 @@ pub(crate) fn spring_lengths<const L: usize>(
     workspace: &mut Workspace,
     lengths: &mut Lengths,
 ) {
-    let floor = floor::<L>(body, coordinates, rates, c, &mut workspace.scratch.floor);
-    let angles = &mut workspace.links[c].angles;
+    let Workspace { links, floors, .. } = workspace;
+    let floor = gather_floor::<L>(body, coordinates, rates, c, floors);
+    let angles = &mut links[c].angles;
     trigonometry::angles(&coordinates[c], angles);
-    springs::lengths(&coordinates[c], angles, floor, &mut lengths.0);
+    springs::squared_lengths(&coordinates[c], angles, floor, &mut lengths.0);
 }
 
 /// First part of an evaluation, for the chunks `block` (at most [`BLOCK`]): velocities and water,
@@ -353,8 +390,8 @@ pub(crate) fn outward<const L: usize>(
     trigonometry_known: bool,
     workspace: &mut Workspace,
 ) {
-    let Workspace { links, scratch } = workspace;
-    let Scratch { flows, floor: floor_place, .. } = &mut **scratch;
+    let Workspace { links, floors, scratch } = workspace;
+    let flows = &mut scratch.flows;
     let first = block.start;
     let chunks = links.len();
     assert!(block.end <= chunks && block.len() <= BLOCK && body.rest.len() == chunks);
@@ -381,7 +418,7 @@ pub(crate) fn outward<const L: usize>(
             &body.material,
             &body.rest[c],
             &coordinates[c],
-            floor::<L>(body, coordinates, rates, c, floor_place),
+            gather_floor::<L>(body, coordinates, rates, c, floors),
             &flows[c - first],
             &mut links[c].external,
         );
@@ -397,11 +434,11 @@ pub(crate) fn inward<const L: usize>(
     muscles: &[Muscles],
     workspace: &mut Workspace,
 ) {
-    let Workspace { links, scratch } = workspace;
+    let Workspace { links, floors, scratch } = workspace;
     let chunks = links.len();
     assert!(body.rest.len() == chunks && muscles.len() == chunks);
     assert!(coordinates.len() == chunks && rates.len() == chunks);
-    let Scratch { floor: floor_place, top, bottoms, gathered, plane, .. } = &mut **scratch;
+    let Scratch { top, bottoms, gathered, plane, .. } = &mut **scratch;
     // The inward sweep is one long chain of dependent operations. The forces of the next chunk fill
     // its waits, and it theirs.
     let mut carried = articulated::Carried::TIP;
@@ -416,7 +453,7 @@ pub(crate) fn inward<const L: usize>(
                 &coordinates[c],
                 &rates[c],
                 &links[c].angles,
-                floor::<L>(body, coordinates, rates, c, floor_place),
+                gathered_floor::<L>(body, coordinates, rates, c, floors),
                 &links[c].external,
                 top,
                 bottom,

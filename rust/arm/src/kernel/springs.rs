@@ -61,9 +61,9 @@ fn axes(sa: f64, ca: f64, sb: f64, cb: f64) -> ([f64; 3], [f64; 2]) {
     ([cb, sa * sb, -(ca * sb)], [ca, sa])
 }
 
-/// Lengths of the four springs of every slot.
+/// Squared lengths of the four springs of every slot.
 #[inline(always)]
-pub(crate) fn lengths(
+pub(crate) fn squared_lengths(
     coordinates: &Block,
     angles: &Angles,
     floor: FloorRef<'_>,
@@ -78,10 +78,10 @@ pub(crate) fn lengths(
         let two = y_spring(1.0, h, q[4][k], floor.radius[1][k], ey);
         let three = x_spring(-1.0, h, q[5][k], floor.radius[2][k], ex);
         let four = y_spring(-1.0, h, q[6][k], floor.radius[3][k], ey);
-        out[0][k] = square3(one).sqrt();
-        out[1][k] = square2(two).sqrt();
-        out[2][k] = square3(three).sqrt();
-        out[3][k] = square2(four).sqrt();
+        out[0][k] = square3(one);
+        out[1][k] = square2(two);
+        out[2][k] = square3(three);
+        out[3][k] = square2(four);
     }
 }
 
