@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from octoarm_agents.analysis.drive import Drive, DrivenArm, record_arm, state_scales
 from octoarm_agents.analysis.echo_state import EchoState, fit_decay
@@ -148,20 +149,22 @@ def survey_arm(
     """
     report = advance or (lambda stage, share: None)
     length = settings.measures.washout + settings.measures.oldest + settings.samples
-    report("recording", 0.0)
-    recording = record_arm(parameters, settings.drive, settings.values(_DRIVE, length))
-    report("capacities", 0.25)
-    measures = measure(
-        recording, settings.measures, lambda stage, share: report(stage, 0.25 * share)
-    )
-    report("ranks", 0.0)
-    ranks = _separate(parameters, settings)
-    report("echo state", 0.25)
-    scales = state_scales(parameters, settings.drive, settings.values(_SCALES, _SCALE_HOLDS))
-    echo = _echo(parameters, settings, scales)
-    report("Lyapunov exponent", 0.1)
-    lyapunov = _lyapunov(parameters, settings, scales)
-    report("Lyapunov exponent", 0.15)
+    # Sums split over threads are rounded otherwise.
+    with threadpool_limits(1):
+        report("recording", 0.0)
+        recording = record_arm(parameters, settings.drive, settings.values(_DRIVE, length))
+        report("capacities", 0.25)
+        measures = measure(
+            recording, settings.measures, lambda stage, share: report(stage, 0.25 * share)
+        )
+        report("ranks", 0.0)
+        ranks = _separate(parameters, settings)
+        report("echo state", 0.25)
+        scales = state_scales(parameters, settings.drive, settings.values(_SCALES, _SCALE_HOLDS))
+        echo = _echo(parameters, settings, scales)
+        report("Lyapunov exponent", 0.1)
+        lyapunov = _lyapunov(parameters, settings, scales)
+        report("Lyapunov exponent", 0.15)
     return ArmSurvey(settings, parameters, measures, ranks, echo, lyapunov)
 
 
