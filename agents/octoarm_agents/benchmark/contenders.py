@@ -81,7 +81,7 @@ ROD = "PyElastica's rod (its own physics)"
 
 def batch_name(arms: int, threads: int, *, dry: bool = False) -> str:
     """Name of a batch of arms."""
-    return f"{arms} arms{_on(threads)}{', no water' if dry else ''}"
+    return f"ArmBatch of {arms}{_on(threads)}{', no water' if dry else ''}"
 
 
 def vector_name(envs: int, threads: int) -> str:

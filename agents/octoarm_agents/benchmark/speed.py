@@ -117,20 +117,20 @@ class SpeedResult:
             ("twin_over_wet_arm", "MuJoCo twin / one arm in water", TWIN, ARM),
             (
                 f"twin_over_batch_{instruction_set()}",
-                f"MuJoCo twin / {BATCH} arms, {instruction_set()}",
+                f"MuJoCo twin / batch of {BATCH}, {instruction_set()}",
                 TWIN,
                 dry,
             ),
         ]
         wanted += [
-            (f"twin_over_batch_{name}", f"MuJoCo twin / {BATCH} arms, {name}", TWIN, other)
+            (f"twin_over_batch_{name}", f"MuJoCo twin / batch of {BATCH}, {name}", TWIN, other)
             for name in other_instruction_sets()
             for other in [elsewhere_name(name)]
         ]
         wanted += [
-            ("arm_over_batch", f"one arm / {BATCH} arms", ARM_DRY, dry),
-            ("batch_threads", f"{BATCH} arms: 1 / 2 threads", batch_name(BATCH, 1), batch),
-            ("vector_threads", f"{vector}: 1 / 2 threads", alone, vector),
+            ("arm_over_batch", f"one arm / batch of {BATCH}", ARM_DRY, dry),
+            ("batch_threads", f"ArmBatch of {BATCH}: 1 / 2 threads", batch_name(BATCH, 1), batch),
+            ("vector_threads", f"OctoArmVectorEnv of {BATCH}: 1 / 2 threads", alone, vector),
             ("sync_over_vector", f"SyncVectorEnv / {vector}", SYNC, vector),
             (
                 "sync_over_vector_1",
