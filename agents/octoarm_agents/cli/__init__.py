@@ -7,14 +7,24 @@ from typing import Annotated
 import typer
 
 from octoarm_agents import __version__
-from octoarm_agents.cli import analyse, benchmark, calibrate, demo, reproduce
+from octoarm_agents.cli import (
+    analyse,
+    benchmark,
+    calibrate,
+    compare,
+    demo,
+    evaluate,
+    reproduce,
+    train,
+    tune,
+)
 
 __all__ = ["app", "main"]
 
 app = typer.Typer(
     name="octoarm",
     help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir: demonstration, "
-    "the paper's results, calibration, analysis, benchmark.",
+    "the paper's results, calibration, analysis, training of networks, comparison, benchmark.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -22,6 +32,10 @@ app = typer.Typer(
 app.command("demo")(demo.demo)
 app.command("benchmark")(benchmark.benchmark)
 app.command("reproduce")(reproduce.reproduce)
+app.command("train")(train.train)
+app.command("evaluate")(evaluate.evaluate)
+app.command("compare")(compare.compare)
+app.command("tune")(tune.tune)
 app.add_typer(analyse.app, name="analyse")
 app.add_typer(calibrate.app, name="calibrate")
 

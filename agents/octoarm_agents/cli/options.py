@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     from octoarm_env import ArmParameters
 
-__all__ = ["number_between", "output_file", "output_folder", "read_body"]
+__all__ = ["need_extra", "number_between", "output_file", "output_folder", "read_body"]
 
 
 def number_between(
@@ -67,3 +68,16 @@ def read_body(path: Path | None) -> ArmParameters:
     except ValueError as error:
         reason = str(error)
     raise typer.BadParameter(reason, param_hint="'--arm'")
+
+
+@contextmanager
+def need_extra(name: str) -> Iterator[None]:
+    """Say which extra to install where an import fails within."""
+    try:
+        yield
+    except ImportError as error:
+        typer.echo(
+            f"{error}. This command needs more packages: pip install 'octoarm-agents[{name}]'",
+            err=True,
+        )
+        raise typer.Exit(1) from None

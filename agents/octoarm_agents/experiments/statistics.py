@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["bootstrap_interval", "summarise", "welch_p_value"]
+__all__ = ["bootstrap_interval", "interquartile_mean", "summarise", "welch_p_value"]
 
 _RESAMPLES = 10_000
 _CONFIDENCE = 0.95
@@ -29,11 +30,26 @@ def summarise(values: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def bootstrap_interval(values: Sequence[float]) -> list[float]:
-    """95 % percentile bootstrap interval of the mean, always with the same resamples.
+def interquartile_mean(values: NDArray[np.float64], axis: int = -1) -> Any:
+    """Mean of the middle half along an axis: a quarter of the values is left out at each end.
+
+    As robust as a median against single bad trainings, and less wasteful (Agarwal et al. 2021,
+    "Deep reinforcement learning at the edge of the statistical precipice"). Of five values the
+    middle three count.
+    """
+    from scipy.stats import trim_mean
+
+    return trim_mean(values, 0.25, axis=axis)
+
+
+def bootstrap_interval(
+    values: Sequence[float], statistic: Callable[..., Any] = np.mean
+) -> list[float]:
+    """95 % percentile bootstrap interval, always with the same resamples.
 
     Args:
         values: at least one.
+        statistic: whose interval it is; takes an array and ``axis``.
 
     Returns:
         Low and high end.
@@ -41,7 +57,7 @@ def bootstrap_interval(values: Sequence[float]) -> list[float]:
     sample = np.asarray(values)
     chosen = np.random.default_rng(0).integers(0, len(sample), (_RESAMPLES, len(sample)))
     tail = 50 * (1 - _CONFIDENCE)
-    low, high = np.percentile(sample[chosen].mean(axis=1), (tail, 100 - tail))
+    low, high = np.percentile(statistic(sample[chosen], axis=1), (tail, 100 - tail))
     return [float(low), float(high)]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -11,16 +10,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from octoarm_agents.environment import ENV_ID, SETTINGS, check_spaces, differences, inspect_env
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_agents.reservoir.readout_file import differences, load_readout, save_readout
-from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy
+from octoarm_agents.reservoir.readout_file import load_readout, save_readout
+from octoarm_env import ArmParameters, TeacherPolicy
 
 __all__ = ["ReadoutPolicy", "train_policy"]
 
 Env = gym.Env[Any, Any]
-
-_ID = "OctoArm-v0"
-_SETTINGS = ("target", "amplitude", "control_period", "actuator", "action_range")
 
 
 class ReadoutPolicy:
@@ -59,8 +56,8 @@ class ReadoutPolicy:
                 f"readout leads from {found[0]} lengths to {found[1]} outputs, "
                 f"expected from {springs} to 2"
             )
-        if set(settings) != set(_SETTINGS):
-            raise ValueError(f"settings holds {sorted(settings)}, expected {sorted(_SETTINGS)}")
+        if set(settings) != set(SETTINGS):
+            raise ValueError(f"settings holds {sorted(settings)}, expected {sorted(SETTINGS)}")
         self.readout = readout
         self.parameters = parameters
         self.settings = dict(settings)
@@ -68,6 +65,11 @@ class ReadoutPolicy:
         self.seed = seed
         self._weights = readout.weights_[:springs]
         self._bias = readout.weights_[springs:].sum(axis=0)
+
+    @property
+    def parameter_count(self) -> int:
+        """Weights, the bias's included."""
+        return int(self.readout.weights_.size)
 
     def predict(
         self,
@@ -108,7 +110,7 @@ class ReadoutPolicy:
         Raises:
             OSError: the folder cannot be written to.
         """
-        protocol = {"id": _ID, "environment": self.settings, "teaching": self.teaching}
+        protocol = {"id": ENV_ID, "environment": self.settings, "teaching": self.teaching}
         save_readout(
             path, self.readout, parameters=self.parameters, protocol=protocol, seed=self.seed
         )
@@ -128,12 +130,12 @@ class ReadoutPolicy:
             TypeError: `env` is not an ``OctoArm-v0`` environment.
             OSError: the file cannot be read.
         """
-        used = None if env is None else _inspect(env)
+        used = None if env is None else inspect_env(env)
         saved = load_readout(path, parameters=None if used is None else used[0])
         settings = saved.protocol.get("environment")
         teaching = saved.protocol.get("teaching")
-        if saved.protocol.get("id") != _ID or not isinstance(settings, dict):
-            raise ValueError(f"{path} holds a readout, but not a policy for {_ID}")
+        if saved.protocol.get("id") != ENV_ID or not isinstance(settings, dict):
+            raise ValueError(f"{path} holds a readout, but not a policy for {ENV_ID}")
         try:
             if not isinstance(teaching, dict):
                 raise ValueError("teaching is missing")
@@ -154,6 +156,7 @@ def train_policy(
     action_noise: float = 0.01,
     noise: float = 1e-8,
     seed: int = 0,
+    readout: Readout | None = None,
 ) -> ReadoutPolicy:
     """Teach a readout to do what the lead-compensated clock does, from the lengths alone.
 
@@ -170,6 +173,7 @@ def train_policy(
         action_noise: half width of the uniform noise on the actions, 0 to 1.
         noise: ν, half width of the noise on the lengths that the fit allows for [m], see `Readout`.
         seed: of the environment and of the noise on the actions.
+        readout: fit this one instead of ``Readout("noise", noise=noise)``; it is fitted in place.
 
     Returns:
         The policy, with the environment's settings.
@@ -179,22 +183,29 @@ def train_policy(
         TypeError: not an ``OctoArm-v0`` environment.
     """
     if isinstance(env, gym.Env):
-        return _teach(env, steps, action_noise, noise, seed)
+        return _teach(env, steps, action_noise, noise, seed, readout)
     if not (env is None or isinstance(env, Mapping)):
         raise TypeError(
             "env must be an OctoArm-v0 environment or the arguments to make one, "
             f"not {type(env).__name__}"
         )
-    own = gym.make(_ID, **(env or {}))
+    own = gym.make(ENV_ID, **(env or {}))
     try:
-        return _teach(own, steps, action_noise, noise, seed)
+        return _teach(own, steps, action_noise, noise, seed, readout)
     finally:
         own.close()
 
 
-def _teach(env: Env, steps: int, action_noise: float, noise: float, seed: int) -> ReadoutPolicy:
-    parameters, settings = _inspect(env)
-    _check_spaces(env)
+def _teach(
+    env: Env,
+    steps: int,
+    action_noise: float,
+    noise: float,
+    seed: int,
+    readout: Readout | None,
+) -> ReadoutPolicy:
+    parameters, settings = inspect_env(env)
+    check_spaces(env)
     springs = _springs(parameters)
     if not _is_whole(steps) or steps < springs:
         raise ValueError(f"steps = {steps!r}: expected at least {springs}, one for each spring")
@@ -202,7 +213,10 @@ def _teach(env: Env, steps: int, action_noise: float, noise: float, seed: int) -
         raise ValueError(f"seed = {seed!r}: expected a whole number, not negative")
     if not 0 <= action_noise <= 1:
         raise ValueError(f"action_noise = {action_noise}: expected a number from 0 to 1")
-    readout = Readout("noise", noise=noise)
+    teaching: dict[str, Any] = {"steps": steps, "action_noise": action_noise}
+    if readout is None:
+        teaching["noise"] = noise
+        readout = Readout("noise", noise=noise)
     readout.check_parameters()
 
     teacher, random = TeacherPolicy(env), np.random.default_rng(seed)
@@ -218,7 +232,6 @@ def _teach(env: Env, steps: int, action_noise: float, noise: float, seed: int) -
         if terminated or truncated:
             observation, _ = env.reset()
     readout.fit(lengths, actions)
-    teaching = {"steps": steps, "action_noise": action_noise, "noise": noise}
     return ReadoutPolicy(readout, parameters, settings, teaching, seed)
 
 
@@ -228,34 +241,3 @@ def _springs(parameters: ArmParameters) -> int:
 
 def _is_whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _inspect(env: Env) -> tuple[ArmParameters, dict[str, Any]]:
-    """Body and settings of an environment; amplitude and action range as they really are."""
-    arm_env = env.unwrapped if isinstance(env, gym.Env) else env
-    if not isinstance(arm_env, OctoArmEnv):
-        raise TypeError(f"env must be an {_ID} environment, not {arm_env}")
-    # The one place that knows all the arguments it was made with, defaults included.
-    config = json.loads(arm_env._core.config)
-    actual = {"amplitude": arm_env.amplitude, "action_range": arm_env.action_range}
-    settings = {name: actual.get(name, config[name]) for name in _SETTINGS}
-    return ArmParameters.from_dict(config["arm"]), settings
-
-
-def _check_spaces(env: Env) -> None:
-    """The wrappers must leave lengths and actions what they are."""
-    bare = env.unwrapped
-    if env.observation_space != bare.observation_space:
-        raise ValueError(
-            f"env has observations {env.observation_space}, expected the spring lengths "
-            f"themselves, {bare.observation_space}"
-        )
-    action_space = env.action_space
-    # ClipAction takes any number and changes none that is allowed.
-    unbounded = (
-        isinstance(action_space, gym.spaces.Box)
-        and action_space.shape == (2,)
-        and bool(np.isinf(action_space.low).all() and np.isinf(action_space.high).all())
-    )
-    if action_space != bare.action_space and not unbounded:
-        raise ValueError(f"env has actions {action_space}, expected {bare.action_space}")

@@ -12,12 +12,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.environment import differences
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import package_versions
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import ArmParameters
 
-__all__ = ["SavedReadout", "differences", "load_readout", "save_readout"]
+__all__ = ["SavedReadout", "load_readout", "save_readout"]
 
 Float = NDArray[np.float64]
 
@@ -131,20 +132,6 @@ def load_readout(
         if found:
             raise ValueError(f"{path} is for another body: {found}")
     return saved
-
-
-def differences(saved: dict[str, Any], used: dict[str, Any]) -> str:
-    """What differs between the settings in a file and those in use; empty if nothing does."""
-    return "; ".join(
-        f"{name} is {_short(value)} in the file and {_short(used[name])} where it is to be used"
-        for name, value in saved.items()
-        if value != used[name]
-    )
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 100 else f"{text[:100]} …"
 
 
 def _plain(value: Any) -> Any:

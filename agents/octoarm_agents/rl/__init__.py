@@ -1,5 +1,14 @@
-"""Reinforcement learning: many arms at once for stable-baselines3."""
+"""Reinforcement learning: many arms at once for stable-baselines3, training, and what is kept."""
 
+from octoarm_agents.rl.hyperparameters import ALGORITHMS, Hyperparameters
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
+from octoarm_agents.rl.training import Training, train
 
-__all__ = ["Sb3VecEnv", "make_sb3_vec_env"]
+__all__ = [
+    "ALGORITHMS",
+    "Hyperparameters",
+    "Sb3VecEnv",
+    "Training",
+    "make_sb3_vec_env",
+    "train",
+]

@@ -1,0 +1,158 @@
+"""The comparison as Markdown tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["write_report"]
+
+Row = Mapping[str, Any]
+
+
+def write_report(result: Mapping[str, Any]) -> str:
+    """Give the text of ``compare.md``."""
+    settings = result["settings"]
+    protocol = settings["protocol"]
+    lines = [
+        "# Comparison of agents",
+        "",
+        f"Made by `{result['command']}`. Interquartile means over {settings['seeds']} trainings "
+        "with 95 % bootstrap intervals; every training is measured over "
+        f"{protocol['episodes']} episodes with seeds from {protocol['seed']} on, which none was "
+        "trained or chosen on. `hold` and `clock` are not trained. Distances from the orbit are in "
+        "amplitudes, periods in periods of the target; what ∞ stands for did not happen in enough "
+        "episodes.",
+        "",
+    ]
+    for target in settings["targets"]:
+        rows = [row for row in result["rows"] if row["target"] == target]
+        lines += [f"## {target}", "", "Undisturbed, and what it cost:", ""]
+        lines += _table(
+            (
+                "agent",
+                "return of 500",
+                "error (°)",
+                "orbit distance",
+                "period",
+                "held 30 s",
+                "survival",
+                "samples",
+                f"samples to {settings['reached']:.0%}",
+                "training (s)",
+                "parameters",
+                "action (µs)",
+            ),
+            [_undisturbed(row) for row in rows],
+        )
+        lines += ["", "White noise on the lengths that the agent sees, all the time: return", ""]
+        lines += _table(
+            ("agent", *(f"{size * 1e6:g} µm" for size in settings["noises"])),
+            [
+                [row["agent"], *(_interval(each["return"], 1) for each in row["noises"])]
+                for row in rows
+            ],
+        )
+        lines += ["", _recovery_title("A push of the base for 0.2 s"), ""]
+        lines += _table(
+            ("agent", *(f"{size:g}°" for size in settings["pushes"])),
+            [[row["agent"], *(_recovery(each) for each in row["pushes"])] for row in rows],
+        )
+        lines += ["", _recovery_title("The same noise for 1 s only"), ""]
+        lines += _table(
+            ("agent", *(f"{size * 1e6:g} µm" for size in settings["bursts"])),
+            [[row["agent"], *(_recovery(each) for each in row["bursts"])] for row in rows],
+        )
+        lines += [
+            "",
+            "On bodies with other stiffness and damping (factors): return, distance from the orbit",
+            "",
+        ]
+        lines += _table(
+            ("agent", *(f"{k:g}, {d:g}" for k, d in settings["bodies"]), "mean"),
+            [
+                [row["agent"], *(_body(each) for each in row["bodies"]), _body(row["transfer"])]
+                for row in rows
+            ],
+        )
+        lines.append("")
+    if result["readout_map"]:
+        lines += _readout_map(result)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _undisturbed(row: Row) -> list[str]:
+    seconds = row["training_seconds"]
+    reached = row["samples_to_reach"]
+    return [
+        row["agent"],
+        _interval(row["return"], 1),
+        _interval(row["tracking_error"], 3),
+        _interval(row["orbit_distance"], 4),
+        _number(row["period"]["iqm"], 4),
+        f"{row['held']['iqm']:.0%}",
+        f"{row['survival']['iqm']:.0%}",
+        f"{row['samples']:,}" if row["samples"] else "-",
+        "-" if reached is None else _number(reached["iqm"], 0),
+        "-" if seconds is None else _number(seconds["iqm"], 1),
+        f"{row['parameters']:,}",
+        f"{row['inference_us']:.1f}",
+    ]
+
+
+def _recovery_title(what: str) -> str:
+    return f"{what}: share of episodes back on the orbit for good, and after how many seconds"
+
+
+def _recovery(entry: Row) -> str:
+    time = entry["time"]["iqm"]
+    after = "" if time is None else f", {time:.1f} s"
+    return f"{entry['recovered']['iqm']:.0%}{after}"
+
+
+def _body(entry: Row) -> str:
+    return f"{_number(entry['return']['iqm'], 0)}, {_number(entry['orbit_distance']['iqm'], 3)}"
+
+
+def _readout_map(result: Mapping[str, Any]) -> list[str]:
+    noises = result["settings"]["noises"]
+    lines = [
+        "## The readout, taught otherwise",
+        "",
+        "κ is the noise on the teacher's actions while it is watched, ν the noise on the lengths "
+        "that the fit allows for (0: pseudo-inverse). The readouts above have κ = 0.01, and ν = 0 "
+        "and 0.01 µm. Returns, undisturbed and with noise on what the readout sees; recovered: "
+        "share of episodes back on the orbit after a push of "
+        f"{result['settings']['pushes'][1]:g}°.",
+        "",
+    ]
+    header = ("target", "κ", "ν (µm)", "return", "held 30 s")
+    rows = [
+        [
+            entry["target"],
+            f"{entry['action_noise']:g}",
+            f"{entry['noise'] * 1e6:g}",
+            _number(entry["return"]["iqm"], 1),
+            f"{entry['held']['iqm']:.0%}",
+            *(_number(each["iqm"], 1) for each in entry["noises"]),
+            f"{entry['recovered']['iqm']:.0%}",
+        ]
+        for entry in result["readout_map"]
+    ]
+    return lines + _table(
+        (*header, *(f"at {size * 1e6:g} µm" for size in noises), "recovered"), rows
+    )
+
+
+def _interval(entry: Row, digits: int) -> str:
+    middle, low, high = (_number(entry[key], digits) for key in ("iqm", "low", "high"))
+    return middle if low == middle == high else f"{middle} [{low}, {high}]"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "∞" if value is None else f"{value:,.{digits}f}"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    rule = ["---", *("---:" for _ in header[1:])]
+    return [f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)]

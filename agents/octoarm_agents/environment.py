@@ -1,0 +1,112 @@
+"""The environment that an agent belongs to: read from one, compared with one, made again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.vector import AutoresetMode
+
+from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
+
+__all__ = [
+    "ENV_ID",
+    "SETTINGS",
+    "TARGETS",
+    "check_spaces",
+    "differences",
+    "inspect_env",
+    "make_vector_env",
+]
+
+Env = gym.Env[Any, Any]
+
+ENV_ID = "OctoArm-v0"
+
+SETTINGS = ("target", "amplitude", "control_period", "actuator", "action_range")
+"""Arguments of the environment that an agent depends on, beside the body; rewards may differ."""
+
+TARGETS = ("quadratic", "van_der_pol", "lissajous")
+"""The targets that agents are trained and compared on."""
+
+
+def inspect_env(env: Env) -> tuple[ArmParameters, dict[str, Any]]:
+    """Give an environment's body and `SETTINGS`; amplitude and action range as they really are.
+
+    Args:
+        env: an ``OctoArm-v0`` environment, however wrapped.
+
+    Raises:
+        TypeError: another environment.
+    """
+    arm_env = env.unwrapped if isinstance(env, gym.Env) else env
+    if not isinstance(arm_env, OctoArmEnv):
+        raise TypeError(f"env must be an {ENV_ID} environment, not {arm_env}")
+    # The one place that knows all the arguments it was made with, defaults included.
+    config = json.loads(arm_env._core.config)
+    actual = {"amplitude": arm_env.amplitude, "action_range": arm_env.action_range}
+    settings = {name: actual.get(name, config[name]) for name in SETTINGS}
+    return ArmParameters.from_dict(config["arm"]), settings
+
+
+def check_spaces(env: Env) -> None:
+    """Raise a ValueError if wrappers make of lengths and actions something else."""
+    bare = env.unwrapped
+    if env.observation_space != bare.observation_space:
+        raise ValueError(
+            f"env has observations {env.observation_space}, expected the spring lengths "
+            f"themselves, {bare.observation_space}"
+        )
+    action_space = env.action_space
+    # ClipAction takes any number and changes none that is allowed.
+    unbounded = (
+        isinstance(action_space, gym.spaces.Box)
+        and action_space.shape == (2,)
+        and bool((action_space.low == -float("inf")).all())
+        and bool((action_space.high == float("inf")).all())
+    )
+    if action_space != bare.action_space and not unbounded:
+        raise ValueError(f"env has actions {action_space}, expected {bare.action_space}")
+
+
+def differences(saved: Mapping[str, Any], used: Mapping[str, Any]) -> str:
+    """What differs between the settings in a file and those in use; empty if nothing does."""
+    return "; ".join(
+        f"{name} is {_short(value)} in the file and {_short(used[name])} where it is to be used"
+        for name, value in saved.items()
+        if value != used[name]
+    )
+
+
+def make_vector_env(
+    num_envs: int,
+    parameters: ArmParameters,
+    settings: Mapping[str, Any],
+    *,
+    steps: int,
+    threads: int | None = None,
+) -> OctoArmVectorEnv:
+    """Make the environments that an agent with these settings is at home in.
+
+    Args:
+        num_envs: number of environments.
+        parameters: the body of all.
+        settings: `SETTINGS` and their values.
+        steps: after which an episode is truncated.
+        threads: that share a step; None: as many as the processor runs at once.
+    """
+    return OctoArmVectorEnv(
+        num_envs,
+        **settings,
+        arm=parameters,
+        max_episode_steps=steps,
+        autoreset_mode=AutoresetMode.NEXT_STEP,
+        threads=threads,
+    )
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:100]} …"

@@ -1,0 +1,90 @@
+"""One agent, so many episodes: what it earns and how well it keeps to the orbit."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from octoarm_agents.environment import make_vector_env
+from octoarm_agents.policies.loading import Policy
+from octoarm_agents.policies.measures import orbit_measures, tracking_measures
+from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
+from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
+
+__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "acting", "evaluate_policy"]
+
+JUDGING_SEED = 20_000
+"""First seed of the episodes that choose the best policy of a training; neither trained nor
+compared on."""
+
+JUDGED_EPISODES = 16
+"""Episodes of each such evaluation."""
+
+Trivial = Literal["hold", "clock"]
+
+
+def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv) -> Acting:
+    """Give the agent itself, or one of the trivial ones by name.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    if not isinstance(policy, str):
+        return policy
+    if policy == "hold":
+        return HoldPolicy()
+    if policy == "clock":
+        return TeacherPolicy(envs)
+    raise ValueError(f"policy = {policy!r}: expected 'hold', 'clock' or an agent")
+
+
+def evaluate_policy(
+    policy: Acting | Trivial,
+    home: Policy,
+    *,
+    episodes: int = 32,
+    steps: int = 500,
+    seed: int = 10_000,
+    push: Push | None = None,
+    noise: Noise | None = None,
+    body: ArmParameters | None = None,
+    threads: int | None = None,
+) -> dict[str, Any]:
+    """Let an agent act.
+
+    Args:
+        policy: the agent, or ``"hold"`` or ``"clock"``.
+        home: an agent whose environment is used; mostly `policy` itself.
+        episodes: side by side.
+        steps: of each.
+        seed: of the first; episode i has seed + i.
+        push: disturbs the base.
+        noise: disturbs what the agent sees.
+        body: another body; None: that of `home`.
+        threads: that step the arms; the figures do not depend on it.
+
+    Returns:
+        `tracking_measures` of the whole, `orbit_measures` of the second half, and ``returns``.
+
+    Raises:
+        ValueError: numbers out of range, or a body with another number of springs.
+    """
+    envs = make_vector_env(
+        episodes, body or home.parameters, home.settings, steps=steps, threads=threads
+    )
+    try:
+        rollout = roll_out(
+            acting(policy, envs), envs, seed=seed, steps=steps, push=push, noise=noise
+        )
+        orbit = orbit_measures(
+            rollout,
+            np.array(envs.get_attr("orbit")[0]),
+            amplitude=envs.get_attr("amplitude")[0],
+            period=envs.get_attr("period")[0],
+            control_period=home.settings["control_period"],
+            window=steps // 2,
+        )
+    finally:
+        envs.close()
+    return {**orbit, **tracking_measures(rollout), "returns": rollout.returns.tolist()}

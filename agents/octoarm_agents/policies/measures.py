@@ -1,0 +1,116 @@
+"""What an agent is measured by: with the target's clock, without it, and after disturbances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.policies.rollout import Rollout
+from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
+
+__all__ = ["ON_ORBIT", "orbit_measures", "orbit_series", "recovery", "tracking_measures"]
+
+Float = NDArray[np.float64]
+
+ON_ORBIT = 0.1
+"""Distance from the target orbit, in amplitudes, within which an arm counts as on it."""
+
+
+def tracking_measures(rollout: Rollout) -> dict[str, float]:
+    """Measures that know the time: phase errors count.
+
+    Returns:
+        ``return``, the mean over episodes; ``tracking_error``, the mean distance of the base from
+        its target at the same instant [degrees]; ``survival``, the share of episodes in which the
+        arm did not leave its domain.
+    """
+    return {
+        "return": float(rollout.returns.mean()),
+        "tracking_error": float(rollout.errors[rollout.alive].mean()),
+        "survival": float(1 - rollout.failed.mean()),
+    }
+
+
+def orbit_series(rollout: Rollout, orbit: Float) -> Float:
+    """Distance of the base from the target orbit, whatever the phase, (T, n) [degrees].
+
+    Infinite where the episode had ended.
+    """
+    steps, count, _ = rollout.angles.shape
+    flat = orbit_distance(rollout.angles.reshape(-1, 2), orbit)
+    return np.where(rollout.alive, flat.reshape(steps, count), np.inf)
+
+
+def orbit_measures(
+    rollout: Rollout,
+    orbit: Float,
+    *,
+    amplitude: float,
+    period: float,
+    control_period: float,
+    window: int,
+) -> dict[str, float | None]:
+    """Measures that do not know the time: is the arm on the orbit, does it turn at its pace.
+
+    Args:
+        rollout: long enough to be settled.
+        orbit: target, (K, 2) [degrees].
+        amplitude: of the target [degrees].
+        period: of the target [s].
+        control_period: seconds of a step.
+        window: last steps that count.
+
+    Returns:
+        ``orbit_distance``, the median over episodes of the mean distance in amplitudes (None if no
+        episode lasted); ``period``, the median time of a turn in periods of the target (None if
+        fewer than half of the arms turn); ``held``, the share of episodes that end with a mean
+        distance below `ON_ORBIT` and a period within 5 %; ``survival``, the share that last.
+    """
+    distances = orbit_series(rollout, orbit)[-window:].mean(axis=0) / amplitude
+    turn = period / control_period
+    periods = np.array(
+        [turn_time(rollout.angles[-window:, index, 1]) / turn for index in range(len(distances))]
+    )
+    lasted = np.isfinite(distances)
+    turning = lasted & np.isfinite(periods)
+    held = turning & (distances < ON_ORBIT) & (np.abs(periods - 1) < 0.05)
+    return {
+        "orbit_distance": float(np.median(distances[lasted])) if lasted.any() else None,
+        "period": float(np.median(periods[turning])) if turning.mean() >= 0.5 else None,
+        "held": float(held.mean()),
+        "survival": float(lasted.mean()),
+    }
+
+
+def recovery(
+    rollout: Rollout, orbit: Float, *, amplitude: float, control_period: float, end: int
+) -> dict[str, float | None]:
+    """How an arm comes back to the orbit, at whatever phase.
+
+    Args:
+        rollout: episodes with a disturbance in them.
+        orbit: target, (K, 2) [degrees].
+        amplitude: of the target [degrees].
+        control_period: seconds of a step.
+        end: first step after the disturbance.
+
+    Returns:
+        ``recovered``, the share of episodes that from some step on stay within `ON_ORBIT`, for at
+        least the last tenth of what follows the disturbance; ``time``, the median of how long after
+        its end that is [s] (None if fewer than half recover); ``return_after``, mean reward a step
+        after the disturbance: what the lost phase costs.
+    """
+    distances = orbit_series(rollout, orbit)[end:] / amplitude
+    far = distances >= ON_ORBIT
+    # Steps until the last one that is far.
+    last = np.where(far.any(axis=0), len(far) - np.argmax(far[::-1], axis=0), 0)
+    recovered = last <= 0.9 * len(far)
+    times = np.where(recovered, last * control_period, np.inf)
+    middle = float(np.median(times))
+    return {
+        "recovered": float(recovered.mean()),
+        "time": middle if math.isfinite(middle) else None,
+        "return_after": float(rollout.rewards[end:].mean()),
+    }

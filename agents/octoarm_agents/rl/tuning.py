@@ -1,0 +1,212 @@
+"""The search for hyper-parameters: Optuna's TPE over short trainings on all targets."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from octoarm_agents.environment import ENV_ID, TARGETS
+from octoarm_agents.files import write_json, write_text
+from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.rl.hyperparameters import Hyperparameters
+from octoarm_agents.rl.training import Training, train
+
+__all__ = ["TRIAL_STEPS", "sample", "tune_algorithm"]
+
+TRIAL_STEPS = {
+    "ppo": 100_000,
+    "recurrent_ppo": 60_000,
+    "sac": 16_000,
+    "tqc": 12_000,
+}
+"""Environment steps of a trial on each target: a quarter of a minute to a minute of one core."""
+
+_ON_POLICY = ("ppo", "recurrent_ppo")
+
+
+def sample(trial: Any, algorithm: str, start: Hyperparameters) -> Hyperparameters:
+    """Draw hyper-parameters.
+
+    Args:
+        trial: of Optuna.
+        algorithm: one of `ALGORITHMS`.
+        start: what is not searched stays as it is there.
+    """
+    arguments = copy.deepcopy(start.arguments)
+    rate = trial.suggest_float("learning_rate", 2e-4, 4e-3, log=True)
+    arguments["learning_rate"] = f"lin_{rate:.3g}"
+    arguments["gamma"] = trial.suggest_categorical("gamma", [0.8, 0.9, 0.95, 0.98])
+    # Larger ones, and more passes over the same data, take a memory too long here.
+    recurrent = algorithm == "recurrent_ppo"
+    width = trial.suggest_categorical("width", [64, 128] if recurrent else [64, 128, 256])
+    arguments["batch_size"] = trial.suggest_categorical("batch_size", [128, 256, 512])
+    kwargs = arguments["policy_kwargs"]
+    if recurrent:
+        kwargs["net_arch"] = [width]
+        kwargs["lstm_hidden_size"] = trial.suggest_categorical("lstm_hidden_size", [32, 64])
+    else:
+        kwargs["net_arch"] = [width, width]
+    if algorithm in _ON_POLICY:
+        arguments["n_steps"] = trial.suggest_categorical("n_steps", [128, 256, 512])
+        arguments["n_epochs"] = trial.suggest_categorical(
+            "n_epochs", [5, 10] if recurrent else [5, 10, 20]
+        )
+        arguments["gae_lambda"] = trial.suggest_categorical("gae_lambda", [0.9, 0.95, 0.98])
+        arguments["clip_range"] = trial.suggest_categorical("clip_range", [0.1, 0.2, 0.3])
+        kwargs["log_std_init"] = round(trial.suggest_float("log_std_init", -2.0, -0.5), 2)
+    else:
+        arguments["tau"] = trial.suggest_categorical("tau", [0.005, 0.01, 0.02])
+        arguments["gradient_steps"] = trial.suggest_categorical("gradient_steps", [1, 2, 4])
+        if algorithm == "tqc":
+            dropped = trial.suggest_int("top_quantiles_to_drop_per_net", 0, 4)
+            arguments["top_quantiles_to_drop_per_net"] = dropped
+    limit = trial.suggest_categorical("max_episode_steps", [50, 100, 200, 500])
+    env = {**start.env, "max_episode_steps": limit}
+    return replace(start, env=env, arguments=arguments)
+
+
+def tune_algorithm(
+    algorithm: str,
+    out: Path,
+    *,
+    trials: int | None = None,
+    minutes: float | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    report: Callable[[int, float | None, float | None], None] | None = None,
+) -> dict[str, Any]:
+    """Search hyper-parameters by short trainings, each on all three targets with one seed.
+
+    A trial's value is the mean of the last evaluated returns over the targets; one that is behind
+    the median after a target or two is given up (Optuna's MedianPruner). The first trial is what
+    the present file holds. The study is kept in ``out/study.db`` and goes on where it ended.
+
+    Args:
+        algorithm: one of `ALGORITHMS`.
+        out: folder for ``study.json``, with every trial, and ``ALGORITHM.yml``, the best.
+        trials: number of trials, those kept from before included; None: as many as the time allows.
+        minutes: stop beginning trials after this time.
+        steps: environment steps of a training; None: `TRIAL_STEPS`.
+        seed: of the sampler and of every training.
+        report: called after every trial with its number, its value and the best so far.
+
+    Raises:
+        ValueError: neither trials nor minutes given, or one of them not positive.
+    """
+    import optuna
+
+    if trials is None and minutes is None:
+        raise ValueError("trials = None and minutes = None: expected at least one of them")
+    for name, value in {"trials": trials, "minutes": minutes, "steps": steps}.items():
+        if value is not None and not value > 0:
+            raise ValueError(f"{name} = {value}: expected a positive number")
+    start = Hyperparameters.load(algorithm)
+    steps = steps or TRIAL_STEPS[algorithm]
+    out.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(
+        study_name=f"{algorithm} {steps} {seed}",
+        storage=f"sqlite:///{out / 'study.db'}",
+        sampler=optuna.samplers.TPESampler(seed=seed, multivariate=True, n_startup_trials=5),
+        pruner=optuna.pruners.MedianPruner(n_startup_trials=3, n_warmup_steps=0),
+        direction="maximize",
+        load_if_exists=True,
+    )
+    if not study.trials:
+        study.enqueue_trial(_present(algorithm, start))
+
+    def objective(trial: Any) -> float:
+        tried = sample(trial, algorithm, start)
+        trial.set_user_attr("hyperparameters", json.dumps(tried.entries()))
+        values: list[float] = []
+        for index, target in enumerate(TARGETS):
+            training = Training.make(
+                algorithm, target, steps=steps, seed=seed, evaluations=1, hyperparameters=tried
+            )
+            with tempfile.TemporaryDirectory() as folder:
+                values.append(train(training, Path(folder))["final"]["return"])
+            trial.set_user_attr(target, values[-1])
+            trial.report(float(np.mean(values)), index)
+            if index + 1 < len(TARGETS) and trial.should_prune():
+                raise optuna.TrialPruned
+        return float(np.mean(values))
+
+    def after(study: Any, trial: Any) -> None:
+        if report is not None:
+            complete = [each for each in study.trials if each.state.name == "COMPLETE"]
+            best = max((each.value for each in complete), default=None)
+            report(trial.number, trial.value, best)
+
+    left = None if trials is None else max(trials - len(_ended(study)), 0)
+    if left != 0:
+        timeout = None if minutes is None else 60 * minutes
+        study.optimize(objective, n_trials=left, timeout=timeout, callbacks=[after])
+    return _write(study, algorithm, start, out, steps, seed)
+
+
+def _ended(study: Any) -> list[Any]:
+    return [each for each in study.trials if each.state.name in ("COMPLETE", "PRUNED")]
+
+
+def _present(algorithm: str, start: Hyperparameters) -> dict[str, Any]:
+    """What the present file holds, by the names of `sample`."""
+    arguments = start.arguments
+    kwargs = arguments["policy_kwargs"]
+    names = ["gamma", "batch_size"]
+    names += (
+        ["n_steps", "n_epochs", "gae_lambda", "clip_range"]
+        if algorithm in _ON_POLICY
+        else ["tau", "gradient_steps"]
+    )
+    chosen = {name: arguments[name] for name in names}
+    chosen["learning_rate"] = float(str(arguments["learning_rate"]).removeprefix("lin_"))
+    chosen["max_episode_steps"] = start.env.get("max_episode_steps", 500)
+    chosen["width"] = kwargs["net_arch"][0]
+    if algorithm in _ON_POLICY:
+        chosen["log_std_init"] = kwargs["log_std_init"]
+    if algorithm == "recurrent_ppo":
+        chosen["lstm_hidden_size"] = kwargs["lstm_hidden_size"]
+    if algorithm == "tqc":
+        chosen["top_quantiles_to_drop_per_net"] = arguments.get("top_quantiles_to_drop_per_net", 2)
+    return chosen
+
+
+def _write(
+    study: Any, algorithm: str, start: Hyperparameters, out: Path, steps: int, seed: int
+) -> dict[str, Any]:
+    ended = _ended(study)
+    trials = [
+        {
+            "number": each.number,
+            "value": each.value if each.state.name == "COMPLETE" else None,
+            "pruned": each.state.name == "PRUNED",
+            "parameters": each.params,
+            "returns": {name: each.user_attrs.get(name) for name in TARGETS},
+            "seconds": None if each.duration is None else each.duration.total_seconds(),
+        }
+        for each in ended
+    ]
+    best = study.best_trial
+    entries = json.loads(best.user_attrs["hyperparameters"])
+    result = {
+        "algorithm": algorithm,
+        "steps": steps,
+        "seed": seed,
+        "trials": trials,
+        "best": {"number": best.number, "value": best.value, "hyperparameters": entries},
+        "seconds": sum(each["seconds"] or 0.0 for each in trials),
+        "machine": describe_machine(),
+        "versions": package_versions("optuna", "stable-baselines3", "sb3-contrib", "octoarm-env"),
+    }
+    write_json(out / "study.json", result)
+    text = yaml.safe_dump({ENV_ID: entries}, sort_keys=False, default_flow_style=None)
+    write_text(out / f"{algorithm}.yml", text)
+    return result
