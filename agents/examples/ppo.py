@@ -296,8 +296,10 @@ def train(args: argparse.Namespace) -> Agent:
         # Of the last 100 episodes; none has ended in the very first steps.
         earned = np.mean(collector.returns) if collector.returns else math.nan
         if done % UPDATES_PER_LINE == 0 or done == updates:
-            a_step = earned / args.episode_steps
-            print(f"{steps:>9,} steps  reward {a_step:5.3f} a step  {speed:7,.0f} steps/s", flush=True)
+            reward = earned / args.episode_steps
+            print(
+                f"{steps:>9,} steps  reward {reward:.3f} a step  {speed:7,.0f} steps/s", flush=True
+            )
         if writer:
             scalars = losses | {"learning_rate": learning_rate, "return": earned, "speed": speed}
             for name, value in scalars.items():

@@ -44,8 +44,7 @@ def make_network(
 
     sizes = (memory or SPRINGS, *widths, 2)
     layers = tuple(
-        (numbers(after, before), numbers(after))
-        for before, after in itertools.pairwise(sizes)
+        (numbers(after, before), numbers(after)) for before, after in itertools.pairwise(sizes)
     )
     lstm = None
     if memory:

@@ -309,6 +309,13 @@ class TestCommand:
         assert done.exit_code == 2
         assert message in done.output
 
+    def test_bodies_that_do_not_fit(self, octoarm: Any, tmp_path: Path) -> None:
+        train(small("ppo", steps=128, evaluations=1), tmp_path / "out")
+        ArmParameters(compartments=10).to_json(tmp_path / "short.json")
+        done = octoarm("evaluate", tmp_path / "out" / "best.npz", "--arm", tmp_path / "short.json")
+        assert done.exit_code == 2
+        assert "(32, 40), expected (80,)" in done.output
+
     def test_bad_policies(self, octoarm: Any, tmp_path: Path) -> None:
         (tmp_path / "bad.npz").write_bytes(b"nothing")
         for name, message in (

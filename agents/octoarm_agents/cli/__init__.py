@@ -17,6 +17,7 @@ from octoarm_agents.cli import (
     reproduce,
     train,
     tune,
+    watch,
 )
 
 __all__ = ["app", "main"]
@@ -34,6 +35,7 @@ app.command("benchmark")(benchmark.benchmark)
 app.command("reproduce")(reproduce.reproduce)
 app.command("train")(train.train)
 app.command("evaluate")(evaluate.evaluate)
+app.command("watch")(watch.watch)
 app.command("compare")(compare.compare)
 app.command("tune")(tune.tune)
 app.add_typer(analyse.app, name="analyse")

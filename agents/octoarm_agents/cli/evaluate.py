@@ -90,11 +90,6 @@ def evaluate(
 
     agents = [(name, find_policy(name)) for name in policies]
     body = None if arm is None else read_body(arm)
-    disturbances: dict[str, Any] = {}
-    if push:
-        disturbances["push"] = Push(push)
-    if noise:
-        disturbances["noise"] = Noise(noise)
     homes: list[Any] = []
     for _, policy in agents:
         if not any(policy.settings == home.settings for home in homes):
@@ -107,9 +102,20 @@ def evaluate(
         table.add_column(heading, justify="right")
     results = []
     for name, policy, home in rows:
-        figures = evaluate_policy(
-            policy, home, episodes=episodes, steps=steps, seed=seed, body=body, **disturbances
-        )
+        period = home.settings["control_period"]
+        try:
+            figures = evaluate_policy(
+                policy,
+                home,
+                episodes=episodes,
+                steps=steps,
+                seed=seed,
+                body=body,
+                push=Push(push, round(1 / period), round(0.2 / period)) if push else None,
+                noise=Noise(noise) if noise else None,
+            )
+        except ValueError as error:
+            raise typer.BadParameter(f"{name}: {error}.") from None
         target = home.settings["target"]
         results.append({"agent": name, "target": target, **figures})
         table.add_row(

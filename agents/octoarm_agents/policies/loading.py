@@ -16,7 +16,8 @@ from octoarm_env import ArmParameters
 
 __all__ = ["Policy", "load_policy", "load_trained", "trained_agents"]
 
-_TRAINED = Path(__file__).parent.parent / "trained"
+TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
+"""The agents that come along, in a folder for each target, and their scores in trained.json."""
 
 
 class Policy(Protocol):
@@ -95,5 +96,5 @@ def load_trained(agent: str, target: str) -> Policy:
 
 def trained_agents() -> dict[tuple[str, str], Path]:
     """Files of the agents that come with this distribution, by agent and target."""
-    files = [path for path in _TRAINED.glob("*/*") if path.suffix in (".json", ".npz")]
+    files = [path for path in TRAINED_FOLDER.glob("*/*") if path.suffix in (".json", ".npz")]
     return {(path.stem, path.parent.name): path for path in sorted(files)}

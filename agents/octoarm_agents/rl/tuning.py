@@ -25,7 +25,7 @@ TRIAL_STEPS = {
     "ppo": 100_000,
     "recurrent_ppo": 60_000,
     "sac": 16_000,
-    "tqc": 12_000,
+    "tqc": 10_000,
 }
 """Environment steps of a trial on each target: a quarter of a minute to a minute of one core."""
 
