@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +17,7 @@ __all__ = [
     "SETTINGS",
     "TARGETS",
     "check_spaces",
+    "decode_body",
     "differences",
     "inspect_env",
     "make_vector_env",
@@ -69,6 +71,22 @@ def check_spaces(env: Env) -> None:
     )
     if action_space != bare.action_space and not unbounded:
         raise ValueError(f"env has actions {action_space}, expected {bare.action_space}")
+
+
+def decode_body(entries: dict[str, Any]) -> ArmParameters:
+    """Give the body that a file describes.
+
+    Raises:
+        ValueError: a parameter is missing, unknown or out of its range.
+    """
+    # A parameter left out would silently take its default of today.
+    missing = [field.name for field in fields(ArmParameters) if field.name not in entries]
+    if missing:
+        raise ValueError(f"body lacks {missing}")
+    try:
+        return ArmParameters.from_dict(entries)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"body: {error}") from None
 
 
 def differences(saved: Mapping[str, Any], used: Mapping[str, Any]) -> str:

@@ -7,7 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
-from octoarm_agents.cli.options import number_between, output_file, read_body
+from octoarm_agents.cli.options import (
+    EpisodeSeed,
+    EpisodeSteps,
+    NoiseSize,
+    OtherArm,
+    PushSize,
+    number_between,
+    output_file,
+    read_body,
+)
 
 __all__ = ["evaluate", "find_policy"]
 
@@ -38,36 +47,11 @@ def evaluate(
     episodes: Annotated[
         int, typer.Option(help="Episodes of each.", callback=number_between(1, 4096))
     ] = 32,
-    steps: Annotated[
-        int,
-        typer.Option(help="Control periods of an episode.", callback=number_between(10, 1_000_000)),
-    ] = 500,
-    seed: Annotated[
-        int,
-        typer.Option(help="Episode i begins with seed + i.", callback=number_between(0, 2**31 - 1)),
-    ] = 10_000,
-    push: Annotated[
-        float,
-        typer.Option(
-            help="Push the base by so many degrees for 0.2 s after 1 s.",
-            callback=number_between(0.0, 360.0, "degrees"),
-        ),
-    ] = 0.0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            help="Half width of white noise on the lengths that the agent sees, in metres.",
-            callback=number_between(0.0, 0.01, "metres"),
-        ),
-    ] = 0.0,
-    arm: Annotated[
-        Path | None,
-        typer.Option(
-            "--arm",
-            help="JSON file with the parameters of another body to act on.",
-            show_default="the body of each agent",
-        ),
-    ] = None,
+    steps: EpisodeSteps = 500,
+    seed: EpisodeSeed = 10_000,
+    push: PushSize = 0.0,
+    noise: NoiseSize = 0.0,
+    arm: OtherArm = None,
     out: Annotated[
         Path | None,
         typer.Option(

@@ -6,14 +6,25 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
     from octoarm_env import ArmParameters
 
-__all__ = ["need_extra", "number_between", "output_file", "output_folder", "read_body"]
+__all__ = [
+    "EpisodeSeed",
+    "EpisodeSteps",
+    "NoiseSize",
+    "OtherArm",
+    "PushSize",
+    "need_extra",
+    "number_between",
+    "output_file",
+    "output_folder",
+    "read_body",
+]
 
 
 def number_between(
@@ -81,3 +92,35 @@ def need_extra(name: str) -> Iterator[None]:
             err=True,
         )
         raise typer.Exit(1) from None
+
+
+EpisodeSteps = Annotated[
+    int,
+    typer.Option(help="Control periods of an episode.", callback=number_between(10, 1_000_000)),
+]
+EpisodeSeed = Annotated[
+    int,
+    typer.Option(help="Episode i begins with seed + i.", callback=number_between(0, 2**31 - 1)),
+]
+PushSize = Annotated[
+    float,
+    typer.Option(
+        help="Push the base by so many degrees for 0.2 s after 1 s.",
+        callback=number_between(0.0, 360.0, "degrees"),
+    ),
+]
+NoiseSize = Annotated[
+    float,
+    typer.Option(
+        help="Half width of white noise on the lengths that the agent sees, in metres.",
+        callback=number_between(0.0, 0.01, "metres"),
+    ),
+]
+OtherArm = Annotated[
+    Path | None,
+    typer.Option(
+        "--arm",
+        help="JSON file with the parameters of another body to act on.",
+        show_default="the agent's own body",
+    ),
+]

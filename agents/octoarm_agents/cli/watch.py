@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from octoarm_agents.cli.evaluate import find_policy
-from octoarm_agents.cli.options import number_between, read_body
+from octoarm_agents.cli.options import (
+    EpisodeSeed,
+    EpisodeSteps,
+    NoiseSize,
+    OtherArm,
+    PushSize,
+    number_between,
+    read_body,
+)
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -54,42 +62,17 @@ def watch(
     episodes: Annotated[
         int, typer.Option(help="Number of episodes.", callback=number_between(1, 4096))
     ] = 1,
-    steps: Annotated[
-        int,
-        typer.Option(help="Control periods of an episode.", callback=number_between(10, 1_000_000)),
-    ] = 500,
-    seed: Annotated[
-        int,
-        typer.Option(help="Episode i begins with seed + i.", callback=number_between(0, 2**31 - 1)),
-    ] = 0,
+    steps: EpisodeSteps = 500,
+    seed: EpisodeSeed = 0,
     speed: Annotated[
         float,
         typer.Option(
             help=f"Times real time, above 0 and at most {_FASTEST:g}.", callback=_check_speed
         ),
     ] = 1.0,
-    push: Annotated[
-        float,
-        typer.Option(
-            help="Push the base by so many degrees for 0.2 s after 1 s.",
-            callback=number_between(0.0, 360.0, "degrees"),
-        ),
-    ] = 0.0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            help="Half width of white noise on the lengths that the agent sees, in metres.",
-            callback=number_between(0.0, 0.01, "metres"),
-        ),
-    ] = 0.0,
-    arm: Annotated[
-        Path | None,
-        typer.Option(
-            "--arm",
-            help="JSON file with the parameters of another body to act on.",
-            show_default="the agent's own body",
-        ),
-    ] = None,
+    push: PushSize = 0.0,
+    noise: NoiseSize = 0.0,
+    arm: OtherArm = None,
 ) -> None:
     """Watch a saved agent drive the arm, live in the terminal.
 

@@ -6,17 +6,15 @@ import json
 import os
 import zipfile
 import zlib
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from octoarm_agents.environment import ENV_ID
+from octoarm_agents.environment import ENV_ID, decode_body
 from octoarm_agents.files import write_atomically
 from octoarm_agents.machine import package_versions
 from octoarm_agents.policies.network import Lstm, Network, NetworkPolicy
-from octoarm_env import ArmParameters
 
 __all__ = ["load_network", "save_network"]
 
@@ -102,7 +100,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _decode(arrays: dict[str, Any]) -> NetworkPolicy:
     description = _description(arrays)
     network = description["network"]
-    parameters = _body(description["body"])
+    parameters = decode_body(description["body"])
     count = network.get("layers")
     if not isinstance(count, int) or not 0 < count <= 64:
         raise ValueError(f"network: layers = {count!r}, expected 1 to 64")
@@ -158,14 +156,3 @@ def _description(arrays: dict[str, Any]) -> dict[str, Any]:
         raise ValueError(f"seed = {seed!r}: expected a whole number or null")
     content["seed"] = seed
     return content
-
-
-def _body(entries: dict[str, Any]) -> ArmParameters:
-    # A parameter left out would silently take its default of today.
-    missing = [field.name for field in fields(ArmParameters) if field.name not in entries]
-    if missing:
-        raise ValueError(f"body lacks {missing}")
-    try:
-        return ArmParameters.from_dict(entries)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"body: {error}") from None

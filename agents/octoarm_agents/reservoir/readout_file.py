@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.environment import differences
+from octoarm_agents.environment import decode_body, differences
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import package_versions
 from octoarm_agents.reservoir.readout import Readout
@@ -156,7 +156,7 @@ def _decode(content: Any) -> SavedReadout:
     version = content.get("version")
     if isinstance(version, bool) or version != VERSION:
         raise ValueError(f"version = {version!r}: this release reads version {VERSION}")
-    parameters = _body(_entry(content, "body", dict))
+    parameters = decode_body(_entry(content, "body", dict))
     seed = content.get("seed")
     if seed is not None:
         seed = _entry(content, "seed", int)
@@ -180,17 +180,6 @@ def _entry(content: dict[str, Any], name: str, kind: type, where: str = "") -> A
             f"{where}{name} is of type {type(value).__name__}, expected {kind.__name__}"
         )
     return value
-
-
-def _body(entries: dict[str, Any]) -> ArmParameters:
-    # A parameter left out would silently take its default of today.
-    missing = [field.name for field in fields(ArmParameters) if field.name not in entries]
-    if missing:
-        raise ValueError(f"body lacks {missing}")
-    try:
-        return ArmParameters.from_dict(entries)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"body: {error}") from None
 
 
 def _readout(content: dict[str, Any], springs: int) -> Readout:
