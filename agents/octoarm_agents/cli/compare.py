@@ -49,7 +49,7 @@ def compare(
     episodes: Annotated[
         int,
         typer.Option(help="Episodes in each test.", callback=number_between(1, 4096)),
-    ] = 32,
+    ] = 16,
     seed: Annotated[
         int,
         typer.Option(

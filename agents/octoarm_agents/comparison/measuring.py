@@ -56,7 +56,7 @@ class Protocol:
     """
 
     seed: int = 10_000
-    episodes: int = 32
+    episodes: int = 16
     steps: int = 500
     long_steps: int = 3000
     after: int = 800
@@ -136,7 +136,7 @@ def measure_agent(
                 "stiffness": stiffness,
                 "damping": damping,
                 "return": tracking_measures(rollout)["return"],
-                "orbit_distance": other.distance(rollout),
+                **other.settled(rollout),
             }
         )
     noises = []
@@ -146,7 +146,7 @@ def measure_agent(
             {
                 "size": size,
                 "return": tracking_measures(rollout)["return"],
-                "orbit_distance": test.distance(rollout),
+                "orbit_distance": test.settled(rollout)["orbit_distance"],
             }
         )
     return {
@@ -213,16 +213,17 @@ class _Test:
             end=end,
         )
 
-    def distance(self, rollout: Rollout) -> float | None:
-        """Distance from the orbit over the second half, in amplitudes."""
-        return orbit_measures(
+    def settled(self, rollout: Rollout) -> dict[str, float | None]:
+        """Distance from the orbit, in amplitudes, and period, over the second half."""
+        found = orbit_measures(
             rollout,
             self.orbit,
             amplitude=self.amplitude,
             period=self.period,
             control_period=self.settings["control_period"],
             window=max(len(rollout.rewards) // 2, 1),
-        )["orbit_distance"]
+        )
+        return {name: found[name] for name in ("orbit_distance", "period")}
 
 
 def inference_time(policy: Acting, springs: int, *, calls: int = 2000) -> float:

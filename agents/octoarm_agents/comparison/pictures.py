@@ -116,7 +116,7 @@ def draw_returns(result: Mapping[str, Any]) -> Figure:
 
 
 def draw_robustness(result: Mapping[str, Any]) -> Figure:
-    """Return over noise, recovery over pushes, return on other bodies; with intervals."""
+    """Return over noise, recovery over pushes, distance on other bodies; with intervals."""
     targets = result["settings"]["targets"]
     figure = new_figure(4.2 * len(targets), 9.4)
     panels = figure.subplots(3, len(targets), sharey="row", squeeze=False)
@@ -140,7 +140,7 @@ def draw_robustness(result: Mapping[str, Any]) -> Figure:
                 panels[2, column],
                 row,
                 np.arange(len(bodies)) + 0.25 * shift,
-                [each["return"] for each in bodies],
+                [each["orbit_distance"] for each in bodies],
                 line="",
             )
         panels[0, column].set(xscale="log", xlabel="noise on the lengths (µm)")
@@ -155,7 +155,7 @@ def draw_robustness(result: Mapping[str, Any]) -> Figure:
             _plain(axes)
     for axes, label in zip(
         panels[:, 0],
-        ("return of 500", "share back on the orbit", "return of 500"),
+        ("return of 500", "share back on the orbit", "distance from the orbit, in amplitudes"),
         strict=True,
     ):
         axes.set_ylabel(label)
@@ -172,14 +172,15 @@ def _draw_line(
     axes: Axes,
     row: Mapping[str, Any],
     places: Any,
-    entries: Sequence[Mapping[str, float]],
+    entries: Sequence[Mapping[str, float | None]],
     line: str = "-",
 ) -> None:
-    middle = np.array([each["iqm"] for each in entries])
-    reach = [
-        middle - np.array([each["low"] for each in entries]),
-        np.array([each["high"] for each in entries]) - middle,
-    ]
+    # What did not happen (None) is not drawn.
+    middle, low, high = (
+        np.array([each[key] for each in entries], dtype=np.float64)
+        for key in ("iqm", "low", "high")
+    )
+    reach = [middle - low, high - middle]
     axes.errorbar(
         places,
         middle,

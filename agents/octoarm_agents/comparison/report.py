@@ -20,9 +20,9 @@ def write_report(result: Mapping[str, Any]) -> str:
         f"Made by `{result['command']}`. Interquartile means over {settings['seeds']} trainings "
         "with 95 % bootstrap intervals; every training is measured over "
         f"{protocol['episodes']} episodes with seeds from {protocol['seed']} on, which none was "
-        "trained or chosen on. `hold` and `clock` are not trained. Distances from the orbit are in "
-        "amplitudes, periods in periods of the target; what ∞ stands for did not happen in enough "
-        "episodes.",
+        "trained or chosen on. `hold` and `clock` are not trained, and so have no interval. "
+        "Distances from the orbit are in amplitudes, periods in periods of the target; ∞ stands "
+        "for what did not happen in enough episodes.",
         "",
     ]
     for target in settings["targets"]:
@@ -65,7 +65,7 @@ def write_report(result: Mapping[str, Any]) -> str:
         )
         lines += [
             "",
-            "On bodies with other stiffness and damping (factors): return, distance from the orbit",
+            "On bodies with other stiffness and damping (factors): return, orbit distance, period",
             "",
         ]
         lines += _table(
@@ -111,7 +111,10 @@ def _recovery(entry: Row) -> str:
 
 
 def _body(entry: Row) -> str:
-    return f"{_number(entry['return']['iqm'], 0)}, {_number(entry['orbit_distance']['iqm'], 3)}"
+    cells = [_number(entry["return"]["iqm"], 0), _number(entry["orbit_distance"]["iqm"], 3)]
+    if "period" in entry:
+        cells.append(_number(entry["period"]["iqm"], 3))
+    return ", ".join(cells)
 
 
 def _readout_map(result: Mapping[str, Any]) -> list[str]:

@@ -278,7 +278,7 @@ def _row(
         {"stiffness": stiffness, "damping": damping}
         | {
             key: summary([result["bodies"][index][key] for result in results])
-            for key in ("return", "orbit_distance")
+            for key in ("return", "orbit_distance", "period")
         }
         for index, (stiffness, damping) in enumerate(BODIES)
     ]

@@ -64,9 +64,10 @@ def orbit_measures(
 
     Returns:
         ``orbit_distance``, the median over episodes of the mean distance in amplitudes (None if no
-        episode lasted); ``period``, the median time of a turn in periods of the target (None if
-        fewer than half of the arms turn); ``held``, the share of episodes that end with a mean
-        distance below `ON_ORBIT` and a period within 5 %; ``survival``, the share that last.
+        arm lasted and swings: one at rest is on every orbit through the origin); ``period``, the
+        median time of a turn in periods of the target (None if fewer than half of the arms turn);
+        ``held``, the share of episodes that end with a mean distance below `ON_ORBIT` and a period
+        within 5 %; ``survival``, the share that last.
     """
     distances = orbit_series(rollout, orbit)[-window:].mean(axis=0) / amplitude
     turn = period / control_period
@@ -74,10 +75,11 @@ def orbit_measures(
         [turn_time(rollout.angles[-window:, index, 1]) / turn for index in range(len(distances))]
     )
     lasted = np.isfinite(distances)
-    turning = lasted & np.isfinite(periods)
+    swinging = lasted & _swings(rollout.angles[-window:], orbit)
+    turning = swinging & np.isfinite(periods)
     held = turning & (distances < ON_ORBIT) & (np.abs(periods - 1) < 0.05)
     return {
-        "orbit_distance": float(np.median(distances[lasted])) if lasted.any() else None,
+        "orbit_distance": float(np.median(distances[swinging])) if swinging.any() else None,
         "period": float(np.median(periods[turning])) if turning.mean() >= 0.5 else None,
         "held": float(held.mean()),
         "survival": float(lasted.mean()),
@@ -98,15 +100,16 @@ def recovery(
 
     Returns:
         ``recovered``, the share of episodes that from some step on stay within `ON_ORBIT`, for at
-        least the last tenth of what follows the disturbance; ``time``, the median of how long after
-        its end that is [s] (None if fewer than half recover); ``return_after``, mean reward a step
-        after the disturbance: what the lost phase costs.
+        least the last tenth of what follows the disturbance, and swing in it; ``time``, the median
+        of how long after its end that is [s] (None if fewer than half recover); ``return_after``,
+        mean reward a step after the disturbance: what the lost phase costs.
     """
     distances = orbit_series(rollout, orbit)[end:] / amplitude
     far = distances >= ON_ORBIT
     # Steps until the last one that is far.
     last = np.where(far.any(axis=0), len(far) - np.argmax(far[::-1], axis=0), 0)
     recovered = last <= 0.9 * len(far)
+    recovered &= _swings(rollout.angles[-max(len(far) // 10, 1) :], orbit)
     times = np.where(recovered, last * control_period, np.inf)
     middle = float(np.median(times))
     return {
@@ -114,3 +117,10 @@ def recovery(
         "time": middle if math.isfinite(middle) else None,
         "return_after": float(rollout.rewards[end:].mean()),
     }
+
+
+def _swings(angles: Float, orbit: Float) -> NDArray[np.bool_]:
+    """Whether both angles (T, n, 2) cover at least half of what they cover on the orbit, (n,)."""
+    reach = np.ptp(angles, axis=0) >= 0.5 * np.ptp(orbit, axis=0)
+    swinging: NDArray[np.bool_] = reach.all(axis=1)
+    return swinging
