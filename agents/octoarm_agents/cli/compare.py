@@ -73,7 +73,7 @@ def compare(
     period, survival, recovery after pushes and noise, other bodies, cost.
 
     Trainings are kept in OUT/runs: the same call goes on where it was
-    interrupted. About an hour on two cores.
+    interrupted. About an hour and a quarter on two cores.
     """
     with need_extra("rl"):
         import octoarm_agents.rl  # noqa: F401
