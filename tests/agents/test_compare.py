@@ -25,7 +25,7 @@ SLICE = Comparison(
     targets=("quadratic",),
     seeds=2,
     budget=0.004,
-    protocol=Protocol(episodes=2, steps=120, long_steps=300, after=60),
+    protocol=Protocol(episodes=2, steps=120, long_steps=300, after=700),
     readout_map=0,
 )
 

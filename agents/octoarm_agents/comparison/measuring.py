@@ -52,7 +52,7 @@ class Protocol:
         episodes: side by side, in each test.
         steps: control periods of an episode; those of the standard environment.
         long_steps: of the test that lets the arm swing on by itself.
-        after: steps that follow a disturbance, in which to recover.
+        after: steps that follow a disturbance, in which to recover; at least ten turns.
     """
 
     seed: int = 10_000

@@ -92,7 +92,7 @@ def recovery(
     """How an arm comes back to the orbit, at whatever phase.
 
     Args:
-        rollout: episodes with a disturbance in them.
+        rollout: episodes with a disturbance in them, and after it at least ten turns of the orbit.
         orbit: target, (K, 2) [degrees].
         amplitude: of the target [degrees].
         control_period: seconds of a step.

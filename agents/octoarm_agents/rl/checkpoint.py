@@ -37,13 +37,15 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         gives the model.
 
     Raises:
-        ValueError: the file is damaged or no checkpoint.
+        ValueError: the file is damaged, no checkpoint, or of another version.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             parts = {name: archive.read(name) for name in archive.namelist()}
         state: dict[str, Any] = pickle.loads(parts[_STATE])
         model = parts[_MODEL]
+    except (AttributeError, ImportError) as error:
+        raise ValueError(f"{path} was written by another version: {error}") from None
     except (zipfile.BadZipFile, KeyError, pickle.UnpicklingError, EOFError) as error:
         raise ValueError(f"{path} is no complete checkpoint: {error}") from None
 
