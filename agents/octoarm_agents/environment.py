@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
-from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
+from octoarm_env import LIMIT_CYCLES, ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 __all__ = [
     "ENV_ID",
@@ -30,7 +30,7 @@ ENV_ID = "OctoArm-v0"
 SETTINGS = ("target", "amplitude", "control_period", "actuator", "action_range")
 """Arguments of the environment that an agent depends on, beside the body; rewards may differ."""
 
-TARGETS = ("quadratic", "van_der_pol", "lissajous")
+TARGETS: tuple[str, ...] = tuple(LIMIT_CYCLES)
 """The targets that agents are trained and compared on."""
 
 

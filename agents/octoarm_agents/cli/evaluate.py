@@ -86,7 +86,6 @@ def evaluate(
         table.add_column(heading, justify="right")
     results = []
     for name, policy, home in rows:
-        period = home.settings["control_period"]
         try:
             figures = evaluate_policy(
                 policy,
@@ -95,7 +94,7 @@ def evaluate(
                 steps=steps,
                 seed=seed,
                 body=body,
-                push=Push(push, round(1 / period), round(0.2 / period)) if push else None,
+                push=Push.after_a_second(push, home.settings["control_period"]) if push else None,
                 noise=Noise(noise) if noise else None,
             )
         except ValueError as error:

@@ -160,8 +160,7 @@ class Episode:
         self.seed, self.steps, self.steps_made = seed, steps, 0
         self.failure = ""
         self.period = float(policy.settings["control_period"])
-        a_second = round(1 / self.period)
-        self._push = Push(push, begin=a_second, steps=max(1, round(0.2 / self.period)))
+        self._push = Push.after_a_second(push, self.period)
         self._noise = Noise(noise)
         self._random = np.random.default_rng(seed)
         direction = self._random.uniform(0, 2 * np.pi, 1)

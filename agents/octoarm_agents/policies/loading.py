@@ -11,6 +11,7 @@ import gymnasium as gym
 
 from octoarm_agents.environment import check_spaces, differences, inspect_env
 from octoarm_agents.policies.network_file import load_network
+from octoarm_agents.policies.rollout import Acting
 from octoarm_agents.reservoir import ReadoutPolicy
 from octoarm_env import ArmParameters
 
@@ -20,7 +21,7 @@ TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
 """The agents that come along, in a folder for each target, and their scores in trained.json."""
 
 
-class Policy(Protocol):
+class Policy(Acting, Protocol):
     """What `load_policy` gives: an agent that knows where it is at home."""
 
     parameters: ArmParameters
@@ -30,15 +31,6 @@ class Policy(Protocol):
     @property
     def parameter_count(self) -> int:
         """Trained numbers that the action depends on."""
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, Any]:
-        """Act, as a policy of stable-baselines3 does."""
 
 
 def load_policy(

@@ -67,6 +67,11 @@ class Push:
                 f"begin, steps = {self.begin}, {self.steps}: expected numbers that are not negative"
             )
 
+    @classmethod
+    def after_a_second(cls, size: float, control_period: float) -> Push:
+        """A push for 0.2 s that begins after 1 s, whatever the seconds of a step."""
+        return cls(size, round(1 / control_period), max(1, round(0.2 / control_period)))
+
 
 @dataclass(frozen=True)
 class Noise:
