@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from octoarm_agents.cli.options import number_between, output_folder
+from octoarm_agents.cli.options import need_extra, number_between, output_folder
 
 __all__ = ["tune"]
 
@@ -60,7 +60,10 @@ def tune(
 
     Use the result with octoarm train ALGO --hyperparameters ALGORITHM.yml.
     """
-    from octoarm_agents.rl.tuning import tune_algorithm
+    with need_extra("rl"):
+        import optuna  # noqa: F401
+
+        from octoarm_agents.rl.tuning import tune_algorithm
 
     folder = output_folder(out or Path("out/tune") / algorithm)
 
