@@ -205,6 +205,14 @@ class Arm:
         return self._core.positions
 
     @property
+    def joints(self) -> Float:
+        """Ends of the longitudinal springs in the world frame, base first, (N + 1, 4, 3) [m].
+
+        Spring i of compartment j runs from ``joints[j - 1, i - 1]`` to ``joints[j, i - 1]``.
+        """
+        return self._core.joints
+
+    @property
     def base_angles(self) -> Float:
         """Actual base angles θ, φ, (2,) [degrees]."""
         return self._core.base_angles

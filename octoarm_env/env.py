@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.parameters import ArmParameters
-from octoarm_env.settings import episode_settings, phase_option, refuse_rendering
+from octoarm_env.rendering.camera import Camera
+from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
+from octoarm_env.settings import episode_settings, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
@@ -92,7 +94,11 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
     | `action_change_weight` | `0.01`        | see Rewards                                              |
-    | `render_mode`          | `None`        | no render modes yet                                      |
+    | `render_mode`          | `None`        | `"rgb_array"`, `"human"` or `"rgb_array_list"`, see Rendering |
+    | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
+    | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
+    | `camera`               | `None`        | a `rendering.Camera`, or `"perspective"` (default), `"front"`, `"side"`, `"top"`, `"base"` |
+    | `overlay`              | `True`        | figures, phase portrait and strains in the picture; they show target and base angles, so switch them off for an agent that sees |
 
     Wrong arguments raise a ValueError or TypeError that names the argument, its value and its range.
     So does an action that is not two finite numbers in [-1, 1]; the episode is then unchanged
@@ -102,11 +108,18 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     Many environments at once: `gym.make_vec("OctoArm-v0", num_envs=64)` makes the native batch,
     :class:`octoarm_env.OctoArmVectorEnv`, a hundred times as fast as single ones in a loop of Python.
 
+    ## Rendering
+    With `render_mode="rgb_array"`, `render()` gives the arm in three dimensions as an array
+    (height, width, 3), uint8; no display is needed. With `"human"` every step is shown in a window,
+    in the time that it takes (drag: around the arm, wheel: zoom, h: keys; where the window is
+    closed the arm goes on unseen). Both need pygame-ce, `pip install "octoarm-env[render]"`, and
+    neither changes a bit of the simulation. `metadata["render_fps"]` is one frame a step.
+
     ## Version history
     * v0: initial version.
     """
 
-    metadata = {"render_modes": [], "render_fps": 100}  # noqa: RUF012, declared so by gymnasium.Env
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012, declared so by gymnasium.Env
 
     def __init__(
         self,
@@ -119,9 +132,12 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,
         action_change_weight: float = 0.01,
-        render_mode: None = None,
+        render_mode: Literal["human", "rgb_array"] | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: Camera | str | None = None,
+        overlay: bool = True,
     ) -> None:
-        refuse_rendering(render_mode)
         settings = episode_settings(
             target,
             amplitude,
@@ -133,8 +149,12 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             reward_width,
             action_change_weight,
         )
-        self.render_mode = render_mode
         self._core = _core.Episode(settings)
+        self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
+        modes = self.metadata["render_modes"]
+        pictures = Pictures([settings], render_mode, modes, width, height, camera, overlay)
+        self._pictures = pictures if pictures.wanted else None
         self._seeded = False
         low, high = self._core.observation_bounds
         count = self._core.observation_len
@@ -163,7 +183,11 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         elif not self._seeded:
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True
-        return self._core.reset(phase)
+        observation, info = self._core.reset(phase)
+        if self._pictures is not None:
+            self._pictures.begin(0, info)
+            self._show()
+        return observation, info
 
     def step(
         self, action: NDArray[np.float32]
@@ -181,7 +205,33 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
                 before `reset` or after the end of the episode; nothing is changed then.
         """
         observation, reward, terminated, info = self._core.step(action)
+        if self._pictures is not None:
+            self._pictures.add(0, info, reward)
+            self._show()
         return observation, reward, terminated, False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Give a picture, or show it, as `render_mode` says.
+
+        Returns:
+            (height, width, 3), 0 to 255, with "rgb_array"; else None.
+
+        Raises:
+            gymnasium.error.ResetNeeded: no episode has begun.
+            gymnasium.error.DependencyNotInstalled: pygame-ce is not installed.
+        """
+        if self._pictures is None:
+            warn_without_mode()
+            return None
+        if self.render_mode == "human":
+            self._show(again=True)
+            return None
+        return self._pictures.frame(0, self._subject)
+
+    def close(self) -> None:
+        """Close the window, if there is one; the arm could go on."""
+        if self._pictures is not None:
+            self._pictures.close()
 
     def teacher_action(self) -> Float:
         """Give the lead-compensated clock's action now, (2,); it depends on the time alone."""
@@ -208,9 +258,22 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         return self._core.orbit
 
     @property
+    def arm_joints(self) -> Float:
+        """Ends of the longitudinal springs, as :attr:`octoarm_env.Arm.joints`, (N + 1, 4, 3) [m]."""
+        return self._core.joints
+
+    @property
     def arm_positions(self) -> Float:
         """Centres of the arm's planes in the world frame, base first, (N + 1, 3) [m]."""
         return self._core.positions
+
+    @property
+    def _subject(self) -> Subject:
+        return Subject(self._core.joints, self._core.orbit, self._core.action_range)
+
+    def _show(self, *, again: bool = False) -> None:
+        if self._pictures is not None and self.render_mode == "human":
+            self._pictures.show(self._subject, again=again)
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

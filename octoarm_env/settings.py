@@ -10,7 +10,7 @@ import numpy as np
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.targets import TARGET_NAMES
 
-__all__ = ["episode_settings", "number", "phase_option", "refuse_rendering"]
+__all__ = ["episode_settings", "number", "phase_option"]
 
 
 def episode_settings(
@@ -43,15 +43,6 @@ def episode_settings(
             "action_change_weight": number("action_change_weight", action_change_weight),
         }
     )
-
-
-def refuse_rendering(render_mode: Any) -> None:
-    """Raise a TypeError for any render mode, as for an argument that does not exist.
-
-    stable-baselines3's `make_vec_env` asks for "rgb_array" and falls back on that error.
-    """
-    if render_mode is not None:
-        raise TypeError(f"render_mode = {render_mode!r}: only None is supported")
 
 
 def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.core import RenderFrame
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_differing_spaces, batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_env import _core
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
-from octoarm_env.settings import episode_settings, phase_option, refuse_rendering
+from octoarm_env.rendering.camera import Camera
+from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
+from octoarm_env.settings import episode_settings, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
@@ -64,7 +67,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         tracking_weight: as in `OctoArmEnv`.
         reward_width: as in `OctoArmEnv`.
         action_change_weight: as in `OctoArmEnv`.
-        render_mode: only None yet.
+        render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
+        width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
         autoreset_mode: what happens when an episode has ended, a ``gymnasium.vector.AutoresetMode``
             or its value: NEXT_STEP, the next step ignores the action and begins a new episode;
@@ -95,17 +99,23 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,
         action_change_weight: float = 0.01,
-        render_mode: None = None,
+        render_mode: Literal["rgb_array"] | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: Camera | str | None = None,
+        overlay: bool = True,
         *,
         max_episode_steps: int | None = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ) -> None:
-        refuse_rendering(render_mode)
         self.num_envs = _count("num_envs", num_envs)
         self.render_mode = render_mode
         mode = AutoresetMode(autoreset_mode)
-        self.metadata = OctoArmEnv.metadata | {"autoreset_mode": mode}
+        self.metadata = OctoArmEnv.metadata | {
+            "render_modes": ["rgb_array"],
+            "autoreset_mode": mode,
+        }
         columns = zip(
             _per_env("target", target, self.num_envs, _is_list_of_targets(target)),
             _per_env("amplitude", amplitude, self.num_envs, _is_sequence(amplitude)),
@@ -129,6 +139,11 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             max_episode_steps = _count("max_episode_steps", max_episode_steps)
         self._arguments = (settings, max_episode_steps, _AUTORESET[mode], threads)
         self._core = _core.EpisodeBatch(*self._arguments)
+        self.metadata["render_fps"] = render_fps(control_period)
+        modes = self.metadata["render_modes"]
+        pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
+        self._pictures = pictures if pictures.wanted else None
+        self._mode, self._over = mode, np.zeros(self.num_envs, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._attributes: dict[str, list[Any]] = {}
 
@@ -179,6 +194,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         for index, given in enumerate(seeds):
             if given is not None and (mask is None or mask[index]):
                 self._seeds[index] = given
+        if self._pictures is not None:
+            for index in range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist():
+                self._over[index] = False
+                self._pictures.begin(index, _row(result[1], index))
         return result
 
     def step(
@@ -199,7 +218,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
                 number in [-1, 1], a step before `reset`, or, in DISABLED mode, after the end of an
                 episode; nothing is changed then.
         """
-        return self._core.step(actions)
+        result = self._core.step(actions)
+        if self._pictures is not None:
+            self._keep(*result[1:])
+        return result
 
     def snapshot(self) -> VectorSnapshot:
         """Save the whole batch, to go on from here later."""
@@ -217,6 +239,11 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             raise TypeError(f"snapshot must be a VectorSnapshot, not {kind}")
         self._core.load(snapshot.episodes)
         self._seeds = list(snapshot.seeds)
+        if self._pictures is not None:
+            infos = self._core.infos()
+            for index in range(self.num_envs):
+                self._pictures.begin(index, _row(infos, index))
+            self._over[:] = False
 
     def teacher_actions(self) -> Float:
         """Give the lead-compensated clocks' actions now, (N, 2); they depend on the time alone."""
@@ -245,7 +272,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     ) -> tuple[Any, ...]:
         """Do as :meth:`call` for some of the environments."""
         if name == "render":
-            return tuple(None for _ in indices)
+            if self._pictures is None:
+                warn_without_mode()
+                return tuple(None for _ in indices)
+            return tuple(self._frame(index) for index in indices)
         if name == "teacher_action":
             actions = self._core.teacher_actions()
             return tuple(actions[index].copy() for index in indices)
@@ -265,6 +295,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         each: dict[str, Callable[[], Iterable[Any]]] = {
             "action_range": core.action_ranges.tolist,
             "amplitude": core.amplitudes.tolist,
+            "arm_joints": lambda: map(core.joints, range(count)),
             "arm_positions": lambda: map(core.positions, range(count)),
             "np_random_seed": lambda: self.np_random_seed,
             "orbit": lambda: core.orbit_tables,
@@ -298,8 +329,56 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             raise ValueError(f"values has {len(values)} entries, expected {self.num_envs}")
         self._attributes[name] = list(values)
 
-    def render(self) -> None:
-        """Do nothing: there are no render modes yet."""
+    def render(self) -> tuple[RenderFrame, ...] | None:
+        """Give a picture of every environment; None, and a warning, without a render mode.
+
+        :func:`octoarm_env.rendering.tile_images` makes one of them.
+
+        Returns:
+            N arrays (height, width, 3), 0 to 255.
+
+        Raises:
+            gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as
+                :meth:`octoarm_env.OctoArmEnv.render`.
+        """
+        if self._pictures is None:
+            warn_without_mode()
+            return None
+        return tuple(self._frame(index) for index in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of what drew."""
+        if self._pictures is not None:
+            self._pictures.close()
+
+    def _frame(self, index: int) -> NDArray[np.uint8]:
+        if self._pictures is None:
+            raise RuntimeError("there is no render mode")
+        core = self._core
+        subject = Subject(
+            core.joints(index), core.orbit_tables[index], core.action_ranges[index].item()
+        )
+        return self._pictures.frame(index, subject)
+
+    def _keep(
+        self, rewards: Float, terminated: Flags, truncated: Flags, infos: dict[str, Any]
+    ) -> None:
+        """Keep what the pictures show of a step."""
+        if self._pictures is None:
+            return
+        over = terminated | truncated
+        begun = {
+            AutoresetMode.NEXT_STEP: self._over,
+            AutoresetMode.SAME_STEP: over,
+            AutoresetMode.DISABLED: np.zeros_like(over),
+        }[self._mode]
+        for index in range(self.num_envs):
+            info = _row(infos, index)
+            if begun[index]:
+                self._pictures.begin(index, info)
+            else:
+                self._pictures.add(index, info, rewards[index].item())
+        self._over = over
 
     def _mask(self, options: dict[str, Any] | None) -> Flags | None:
         if not options or "reset_mask" not in options:
@@ -336,6 +415,14 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self.__dict__.update(state)
         self._core = _core.EpisodeBatch(*self._arguments)
         self._core.load(state["_core"])
+
+
+def _row(infos: dict[str, Any], index: int) -> dict[str, Any]:
+    """Give what a picture needs of an environment's info."""
+    info = {name: infos[name][index] for name in ("base_angles", "target", "tracking_error")}
+    if "failure" in infos and infos["_failure"][index]:
+        info["failure"] = infos["failure"][index]
+    return info
 
 
 def _integer(name: str, value: Any, wanted: str, least: int) -> int:

@@ -134,7 +134,12 @@ def test_targets_and_arguments() -> None:
         ({"reward_width": np.inf}, ValueError, "reward_width = inf"),
         ({"tracking_weight": -2}, ValueError, "tracking_weight = -2"),
         ({"action_change_weight": None}, TypeError, "action_change_weight"),
-        ({"render_mode": "human"}, TypeError, "render_mode"),
+        ({"render_mode": "ansi"}, ValueError, "render_mode = 'ansi'.*'human', 'rgb_array'"),
+        ({"width": 15}, ValueError, "width = 15: expected 16 to 4096"),
+        ({"height": 480.0}, TypeError, "height = 480.0: expected a whole number"),
+        ({"camera": "moon"}, ValueError, "camera = 'moon'.*'perspective'"),
+        ({"camera": 3}, TypeError, "camera = 3"),
+        ({"overlay": "no"}, TypeError, "overlay = 'no'"),
         ({"colour": 3}, TypeError, "colour"),
     ],
 )

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["write_atomically", "write_json", "write_text"]
+__all__ = ["atomic_file", "write_atomically", "write_json", "write_text"]
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a temporary file beside `path`, then give it its name.
+@contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Give a temporary file beside `path`; it takes that name when the block has ended well.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -22,7 +24,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     os.close(handle)
     temporary = Path(name)
     try:
-        write(temporary)
+        yield temporary
         # mkstemp makes files private; give a result the mode of any other new file.
         mask = os.umask(0)
         os.umask(mask)
@@ -31,6 +33,16 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` fill a temporary file beside `path`, then give it its name.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    with atomic_file(path) as temporary:
+        write(temporary)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

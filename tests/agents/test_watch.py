@@ -12,7 +12,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import typer
-from octoarm_agents.cli.watch import Episode, _Pace, watch
+from octoarm_agents.cli.watch import watch
+from octoarm_agents.cli.watch_terminal import TerminalEpisode, _Pace
 from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy, save_network
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise, Push
@@ -76,6 +77,13 @@ def make_recurrent():
     return NetworkPolicy(network, "random", ArmParameters(), settings)
 
 
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    """The shows are to be in the terminal, also where a window could be opened."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+
 @pytest.fixture(scope="module")
 def agents(tmp_path_factory):
     """Files of a readout and of a network with memory."""
@@ -101,7 +109,7 @@ def make_episode(file, **settings):
     policy = load_policy(file)
     steps = settings.setdefault("steps", 200)
     env = gym.make("OctoArm-v0", max_episode_steps=steps, arm=policy.parameters, **policy.settings)
-    return Episode(policy, env, "title", **{"seed": 0} | settings)
+    return TerminalEpisode("title", policy, env, **{"seed": 0} | settings)
 
 
 def play(episode):
@@ -397,7 +405,7 @@ class TestEpisode:
     def test_the_push_is_timed_in_seconds(self):
         policy = train_policy({"control_period": 0.02}, steps=300)
         env = gym.make("OctoArm-v0", max_episode_steps=80, **policy.settings)
-        episode, shown = Episode(policy, env, "", seed=0, steps=80, push=5.0), []
+        episode, shown = TerminalEpisode("", policy, env, seed=0, steps=80, push=5.0), []
         while not episode.ended:
             if episode.moment("").disturbance:
                 shown.append(episode.steps_made)
@@ -411,7 +419,7 @@ class TestEpisode:
         assert len(moment.trace) == 200
         assert np.all(moment.sway[0] <= moment.arm[:, 0])
         assert np.all(moment.sway[1] >= moment.arm[:, 0])
-        np.testing.assert_array_equal(moment.trace[-1], episode._info["base_angles"])
+        np.testing.assert_array_equal(moment.trace[-1], episode.info["base_angles"])
 
     def test_an_arm_that_leaves_its_domain_ends_the_episode(self, agents):
         episode = make_episode(agents["readout"])
@@ -565,7 +573,7 @@ class TestPace:
                 self.now += seconds
 
         clock = Clock()
-        monkeypatch.setattr("octoarm_agents.cli.watch.time", clock)
+        monkeypatch.setattr("octoarm_agents.cli.watch_terminal.time", clock)
         return clock
 
     def test_steps_take_their_time(self, clock):

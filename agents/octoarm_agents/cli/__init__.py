@@ -14,6 +14,8 @@ from octoarm_agents.cli import (
     compare,
     demo,
     evaluate,
+    inspect,
+    record,
     reproduce,
     train,
     tune,
@@ -25,7 +27,8 @@ __all__ = ["app", "main"]
 app = typer.Typer(
     name="octoarm",
     help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir: demonstration, "
-    "the paper's results, calibration, analysis, training of networks, comparison, benchmark.",
+    "the paper's results, calibration, analysis, training of networks, comparison, "
+    "pictures and films, benchmark.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -36,6 +39,8 @@ app.command("reproduce")(reproduce.reproduce)
 app.command("train")(train.train)
 app.command("evaluate")(evaluate.evaluate)
 app.command("watch")(watch.watch)
+app.command("record")(record.record)
+app.command("inspect")(inspect.inspect)
 app.command("compare")(compare.compare)
 app.command("tune")(tune.tune)
 app.add_typer(analyse.app, name="analyse")

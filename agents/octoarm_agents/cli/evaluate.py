@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from octoarm_agents.cli.actors import find_policy
 from octoarm_agents.cli.options import (
     EpisodeSeed,
     EpisodeSteps,
@@ -18,22 +19,7 @@ from octoarm_agents.cli.options import (
     read_body,
 )
 
-__all__ = ["evaluate", "find_policy"]
-
-
-def find_policy(name: str) -> Any:
-    """Load a policy by its file, or one that comes along by AGENT/TARGET."""
-    from octoarm_agents.policies import load_policy, load_trained
-
-    agent, _, target = name.rpartition("/")
-    try:
-        if not Path(name).exists() and Path(name).suffix == "" and agent:
-            return load_trained(agent, target)
-        return load_policy(name)
-    except OSError as error:
-        raise typer.BadParameter(f"cannot read {name}: {error.strerror}.") from None
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
+__all__ = ["evaluate"]
 
 
 def evaluate(
@@ -78,7 +64,7 @@ def evaluate(
     for _, policy in agents:
         if not any(policy.settings == home.settings for home in homes):
             homes.append(policy)
-    rows = [(name, policy, policy) for name, policy in agents]
+    rows: list[tuple[str, Any, Any]] = [(name, policy, policy) for name, policy in agents]
     rows += [(kind, kind, home) for home in homes for kind in ("hold", "clock")]
     table = Table()
     table.add_column("agent", overflow="fold")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+import gymnasium as gym
 import numpy as np
 
 from octoarm_agents.environment import make_vector_env
@@ -12,7 +13,7 @@ from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
-__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "acting", "evaluate_policy"]
+__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "Trivial", "acting", "evaluate_policy"]
 
 JUDGING_SEED = 20_000
 """First seed of the episodes that choose the best policy of a training; neither trained nor
@@ -22,9 +23,10 @@ JUDGED_EPISODES = 16
 """Episodes of each such evaluation."""
 
 Trivial = Literal["hold", "clock"]
+"""Agents by name: the base held still, and the clock that knows the target."""
 
 
-def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv) -> Acting:
+def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Acting:
     """Give the agent itself, or one of the trivial ones by name.
 
     Raises:

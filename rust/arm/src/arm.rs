@@ -199,6 +199,12 @@ impl Arm {
         self.state().positions()
     }
 
+    /// Ends of the longitudinal springs on all planes, as [`ArmState::joints`] \[m\].
+    #[must_use]
+    pub fn joints(&self) -> Vec<[[f64; 3]; 4]> {
+        self.state().joints(self.parameters())
+    }
+
     /// Accelerations of all coordinates in the present state under a given motion of the base.
     #[must_use]
     pub fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {

@@ -71,10 +71,31 @@ pub(crate) fn plane_centres(state: &ArmState) -> Vec<[f64; 3]> {
     poses(state).iter().map(|pose| pose.centre.into()).collect()
 }
 
+/// Directions u_1 to u_4 of the struts in a plane's own frame (Fig. 1).
+fn strut_directions() -> [Vector3<f64>; 4] {
+    [Vector3::x(), Vector3::y(), -Vector3::x(), -Vector3::y()]
+}
+
+/// Ends P_ij of the longitudinal springs on all planes, base first \[m\].
+#[must_use]
+pub(crate) fn joints(parameters: &ArmParameters, state: &ArmState) -> Vec<[[f64; 3]; 4]> {
+    let base = [parameters.base_radius; 4];
+    let radii =
+        std::iter::once(base).chain(state.coordinates.iter().map(|q| [q[3], q[4], q[5], q[6]]));
+    let directions = strut_directions();
+    poses(state)
+        .iter()
+        .zip(radii)
+        .map(|(pose, radii)| {
+            [0, 1, 2, 3].map(|i| (pose.centre + pose.frame * directions[i] * radii[i]).into())
+        })
+        .collect()
+}
+
 /// Kinetic and elastic energy; `lengths` are the longitudinal springs', in observation order.
 #[must_use]
 pub(crate) fn energy(parameters: &ArmParameters, state: &ArmState, lengths: &[f64]) -> Energy {
-    let directions = [Vector3::x(), Vector3::y(), -Vector3::x(), -Vector3::y()];
+    let directions = strut_directions();
     let mass = parameters.joint_mass();
     let inertia = parameters.plane_inertia;
     let mut kinetic = 0.0;

@@ -115,6 +115,29 @@ fn lengths_agree_over_a_thousand_steps() {
 }
 
 #[test]
+fn joints_are_as_far_apart_as_the_springs_are_long() {
+    let parameters = ArmParameters::default();
+    let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
+    let state = random_state(&parameters, 7, 1.0);
+    arm.set_state(&state).unwrap();
+    let (joints, centres, lengths) = (arm.joints(), arm.positions(), arm.lengths());
+    assert_eq!(joints.len(), parameters.compartments + 1);
+    let distance = |a: [f64; 3], b: [f64; 3]| {
+        a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt()
+    };
+    for (j, pair) in joints.windows(2).enumerate() {
+        for i in 0..4 {
+            assert!((distance(pair[0][i], pair[1][i]) - lengths[4 * j + i]).abs() < 1e-15);
+            let radius = distance(pair[1][i], centres[j + 1]);
+            assert!((radius - state.coordinates[j][3 + i]).abs() < 1e-15);
+        }
+    }
+    assert!(
+        joints[0].iter().all(|p| (distance(*p, [0.0; 3]) - parameters.base_radius).abs() < 1e-15)
+    );
+}
+
+#[test]
 fn energies_and_positions_agree() {
     let parameters = ArmParameters { plane_mass: 0.01, plane_inertia: 1e-6, ..Default::default() };
     let state = random_state(&parameters, 3, 1.0);

@@ -318,6 +318,12 @@ impl EpisodeBatch {
         self.courses().map(Course::action_range).collect()
     }
 
+    /// The settings of an episode.
+    #[must_use]
+    pub fn config(&self, index: usize) -> &EpisodeConfig {
+        self.groups[index / WIDTH].courses[index % WIDTH].config()
+    }
+
     /// The swing whose snapshots an episode begins from.
     #[must_use]
     pub fn swing(&self, index: usize) -> &Swing {
@@ -328,6 +334,21 @@ impl EpisodeBatch {
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
         self.courses().map(Course::teacher_action).collect()
+    }
+
+    /// Where every episode stands, as if it began there.
+    #[must_use]
+    pub fn outcomes(&self) -> Vec<Outcome> {
+        self.groups
+            .iter()
+            .flat_map(|group| {
+                group
+                    .courses
+                    .iter()
+                    .enumerate()
+                    .map(|(lane, course)| course.first_outcome(group.lanes.base_degrees(lane)))
+            })
+            .collect()
     }
 
     /// An arm's complete state.

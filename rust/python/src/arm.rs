@@ -5,7 +5,7 @@ use octoarm_arm::{Actuator, ArmParameters, ArmState, COORDINATES, LinearReadout,
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{Table, Vector, numbers, pairs, table};
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs, table};
 use crate::errors::{invalid, left_domain};
 
 /// Steps between two looks at Python's signals.
@@ -232,6 +232,11 @@ impl Arm {
     fn energy(&self) -> (f64, f64) {
         let energy = self.inner.energy();
         (energy.kinetic, energy.elastic)
+    }
+
+    #[getter]
+    fn joints<'py>(&self, py: Python<'py>) -> PyResult<Joints<'py>> {
+        joints_array(py, self.inner.joints())
     }
 
     #[getter]

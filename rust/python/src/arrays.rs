@@ -1,7 +1,7 @@
 //! Arrays from Python: dtype, shape and finiteness checked by name, copied once.
 
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
     PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -13,6 +13,19 @@ pub(crate) type Vector<'py> = Bound<'py, PyArray1<f64>>;
 
 /// A matrix handed to Python.
 pub(crate) type Table<'py> = Bound<'py, PyArray2<f64>>;
+
+/// Joints handed to Python, (N + 1, 4, 3).
+pub(crate) type Joints<'py> = Bound<'py, PyArray3<f64>>;
+
+/// The ends of the longitudinal springs as an array.
+pub(crate) fn joints_array<'py>(
+    py: Python<'py>,
+    joints: Vec<[[f64; 3]; 4]>,
+) -> PyResult<Joints<'py>> {
+    let planes = joints.len();
+    let flat = joints.into_flattened().into_flattened();
+    flat.into_pyarray(py).reshape([planes, 4, 3])
+}
 
 /// Any array of real numbers as a float64 array; other things are a `TypeError` naming `name`.
 fn as_float64<'py>(

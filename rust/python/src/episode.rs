@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Table, Vector, numbers, table};
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, table};
 use crate::errors::invalid;
 
 /// One environment's episode; `octoarm_env.OctoArmEnv` documents it.
@@ -172,6 +172,11 @@ impl Episode {
     #[getter]
     fn orbit<'py>(&self, py: Python<'py>) -> PyResult<Table<'py>> {
         table(py, self.inner.swing().orbit.table().as_flattened().to_vec(), 2)
+    }
+
+    #[getter]
+    fn joints<'py>(&self, py: Python<'py>) -> PyResult<Joints<'py>> {
+        joints_array(py, self.inner.arm().joints())
     }
 
     #[getter]

@@ -8,7 +8,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use crate::arrays::{Table, Vector, numbers, pairs_of, table, thread_count};
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table, thread_count};
 use crate::errors::invalid;
 
 /// Observations, rewards, terminations, truncations, infos.
@@ -162,6 +162,12 @@ impl EpisodeBatch {
         table(py, self.inner.teacher_actions().into_flattened(), 2)
     }
 
+    /// The infos of all episodes as they stand, as if they began there.
+    fn infos<'py>(&self, py: Python<'py>) -> PyResult<Infos<'py>> {
+        let outcomes = self.inner.outcomes();
+        infos(py, &outcomes.iter().map(Some).collect::<Vec<Option<&Outcome>>>())
+    }
+
     fn save(&self) -> PyResult<String> {
         serde_json::to_string(&self.inner.state())
             .map_err(|error| invalid(ParameterError::Format(error.to_string())))
@@ -213,17 +219,29 @@ impl EpisodeBatch {
 
     /// Centres of an arm's planes.
     fn positions<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Table<'py>> {
-        if index >= self.inner.len() {
-            return Err(PyValueError::new_err(format!(
-                "index = {index}: expected 0 to {}",
-                self.inner.len() - 1
-            )));
-        }
+        self.check_index(index)?;
         table(py, self.inner.arm_state(index).positions().into_flattened(), 3)
+    }
+
+    /// Ends of an arm's longitudinal springs.
+    fn joints<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Joints<'py>> {
+        self.check_index(index)?;
+        let state = self.inner.arm_state(index);
+        joints_array(py, state.joints(&self.inner.config(index).arm))
     }
 }
 
 impl EpisodeBatch {
+    fn check_index(&self, index: usize) -> PyResult<()> {
+        if index < self.inner.len() {
+            return Ok(());
+        }
+        Err(PyValueError::new_err(format!(
+            "index = {index}: expected 0 to {}",
+            self.inner.len() - 1
+        )))
+    }
+
     fn orbits(&self) -> impl Iterator<Item = &octoarm_env::Orbit> {
         (0..self.inner.len()).map(|index| &*self.inner.swing(index).orbit)
     }

@@ -1,0 +1,123 @@
+"""`octoarm record`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from octoarm_agents.cli.actors import ACTOR_HELP, find_actor
+from octoarm_agents.cli.options import (
+    EpisodeSeed,
+    EpisodeSteps,
+    NoiseSize,
+    OtherArm,
+    PushSize,
+    need_extra,
+    number_between,
+    output_file,
+)
+from octoarm_agents.cli.pictures import (
+    CameraName,
+    Exaggeration,
+    PictureHeight,
+    PictureWidth,
+    Zoom,
+    make_renderer,
+)
+
+__all__ = ["record"]
+
+
+def record(
+    policy: Annotated[str, typer.Argument(help=ACTOR_HELP, show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="The film, .mp4 or .gif, or a picture of the end, .png.", callback=output_file
+        ),
+    ],
+    steps: EpisodeSteps = 500,
+    seed: EpisodeSeed = 0,
+    push: PushSize = 0.0,
+    noise: NoiseSize = 0.0,
+    arm: OtherArm = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Frames of a second of the film.",
+            callback=number_between(1.0, 240.0),
+            show_default="50, of a .gif 25",
+        ),
+    ] = None,
+    speed: Annotated[
+        float,
+        typer.Option(
+            help="Seconds of the arm in a second of the film.", callback=number_between(0.01, 100.0)
+        ),
+    ] = 1.0,
+    width: PictureWidth = 640,
+    height: PictureHeight = 480,
+    camera: CameraName = "perspective",
+    zoom: Zoom = 1.0,
+    exaggeration: Exaggeration = 1.0,
+    overlay: Annotated[
+        bool, typer.Option(help="Figures, phase portrait of the base and strains as well.")
+    ] = True,
+) -> None:
+    """Film an agent that drives the arm; no display is needed.
+
+    The same call gives the same frames. A film appears whole or not at all: an interrupted one
+    leaves nothing behind.
+    """
+    from tqdm import tqdm
+
+    from octoarm_agents import recording
+    from octoarm_agents.policies.episode import Episode
+
+    actor = find_actor(policy, arm)
+    if out.suffix not in (*recording.FORMATS, ".png"):
+        known = ", ".join((*recording.FORMATS, ".png"))
+        raise typer.BadParameter(f"{out} does not end in one of {known}.", param_hint="'--out'")
+    env = actor.make_env(steps)
+    rate = recording.default_fps(out) if fps is None else fps
+    try:
+        assert actor.policy is not None
+        episode = Episode(actor.policy, env, seed=seed, steps=steps, push=push, noise=noise)
+        renderer = make_renderer(
+            episode, policy, (width, height), camera, zoom, exaggeration, overlay=overlay
+        )
+        frames = len(recording.frame_steps(steps, episode.period, rate, speed))
+        if out.suffix == ".gif" and frames > recording.LONGEST_GIF:
+            raise typer.BadParameter(
+                f"{frames:,} frames are too many for a .gif, at most {recording.LONGEST_GIF:,}: "
+                "choose .mp4, fewer --steps or a lower --fps.",
+                param_hint="'--out'",
+            )
+        with tqdm(total=steps, unit=" steps", disable=None, leave=False) as bar:
+            if out.suffix == ".png":
+                recording.picture_end(episode, renderer, out, progress=bar.update)
+            else:
+                with (
+                    need_extra("render"),
+                    recording.open_film(out, renderer.size, rate) as film,
+                ):
+                    recording.film_episode(
+                        episode, renderer, film, fps=rate, speed=speed, progress=bar.update
+                    )
+    except KeyboardInterrupt:
+        typer.echo("Stopped; no film was written.", err=True)
+        raise typer.Exit(130) from None
+    except OSError as error:
+        typer.echo(f"cannot write {out}: {error}.", err=True)
+        raise typer.Exit(1) from None
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}.") from None
+    finally:
+        env.close()
+    typer.echo(episode.report())
+    if out.suffix != ".png":
+        seconds = film.frames / rate
+        typer.echo(f"{film.frames} frames, {seconds:.2f} s, {out.stat().st_size / 1e6:.2f} MB")
+    typer.echo(f"Wrote {out}.")

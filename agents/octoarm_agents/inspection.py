@@ -1,0 +1,543 @@
+"""An episode as streams of the Rerun viewer: the arm in space, its springs, the base, the rewards.
+
+Every row lies on two timelines, ``time`` in seconds of the simulation and ``step`` in control
+periods; both are 0 when the episode begins. Lengths are in metres, angles in degrees.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from octoarm_agents.files import atomic_file
+from octoarm_agents.inspection_layout import layout
+from octoarm_agents.policies.episode import Episode
+from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_env import ArmParameters
+from octoarm_env.rendering import mesh
+from octoarm_env.rendering.colours import (
+    BASE,
+    FLESH,
+    ORBIT,
+    SPRINGS,
+    TARGET,
+    Colour,
+    strain_colours,
+)
+
+__all__ = [
+    "APPLICATION",
+    "STREAMS",
+    "EpisodeLog",
+    "RecordingError",
+    "begin_recording",
+    "recording_file",
+]
+
+Float = NDArray[np.float64]
+
+APPLICATION = "octoarm"
+"""Under this name the viewer files the recordings."""
+
+STREAMS = {
+    "/world/arm/skin": "surface of the arm, rings of the planes and a rounded tip [m]",
+    "/world/arm/springs": "the four rows of longitudinal springs, base to tip [m]",
+    "/world/base": "attitude of the base; its pointer points away from the arm",
+    "/world/target": "attitude that the base should have",
+    "/world/orbit": "where the end of the target's pointer passes [m]",
+    "/portrait/plane": "base and target, θ to the right, φ upwards [degrees]",
+    "/strain": "strain of the springs, a row for each of the four, the base on the left",
+    "/springs/1 … /springs/4": "lengths of a row of springs, compartment 1 at the base [m]",
+    "/angles/theta/base, /angles/phi/base": "where the base is [degrees]",
+    "/angles/theta/command, /angles/phi/command": "where it was sent, push included [degrees]",
+    "/angles/theta/target, /angles/phi/target": "where it should be [degrees]",
+    "/error/tracking": "distance of the base from the target now [degrees]",
+    "/error/orbit": "distance of the base from the orbit, whatever the phase [degrees]",
+    "/reward/reward": "of the step that ends here: the sum of the two that follow",
+    "/reward/tracking, /reward/action_change": "its terms",
+    "/reward/return": "sum of the rewards so far",
+    "/events": "what happens to the arm and to the agent",
+}
+"""What is logged, and its unit."""
+
+_BLOCK = 100
+"""Rows sent at a time."""
+_POINTER = 0.2
+"""Length of the base's pointer, as a share of the arm's."""
+
+_METAL: Colour = (150, 160, 168)
+_COMMAND: Colour = (110, 150, 175)
+_ERROR: Colour = (255, 120, 100)
+_AXES: Colour = (60, 96, 116)
+
+
+class RecordingError(Exception):
+    """Nothing can be recorded: no viewer opens, or logging is switched off."""
+
+
+@contextmanager
+def recording_file(path: Path) -> Iterator[rr.RecordingStream]:
+    """Give a recording that fills a file; the file appears when the block has ended well.
+
+    Raises:
+        OSError: the file cannot be written, or not all of it.
+        RecordingError: logging is switched off.
+    """
+    recording = begin_recording()
+    with atomic_file(path) as temporary:
+        recording.save(temporary)
+        try:
+            yield recording
+        finally:
+            recording.disconnect()
+        _check_whole(temporary)
+
+
+def _check_whole(path: Path) -> None:
+    """Raise an OSError unless the file ends with the list of all that is in it."""
+    # A disk that is full stops the thread that writes; nobody else hears of it.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            rr.chunk.RrdReader(path).store()
+        except (RuntimeError, ValueError, Warning):
+            raise OSError("not all of it could be written") from None
+
+
+def begin_recording() -> rr.RecordingStream:
+    """Give a recording that leads nowhere yet.
+
+    Raises:
+        RecordingError: logging is switched off.
+    """
+    recording = rr.RecordingStream(APPLICATION)
+    if not rr.is_enabled(recording=recording):
+        value = os.environ.get("RERUN")
+        raise RecordingError(f"logging is switched off by the environment variable RERUN={value}")
+    return recording
+
+
+class _Moment(NamedTuple):
+    """What there is to say of a moment, and of the step that ends in it."""
+
+    joints: Float
+    lengths: Float
+    angles: Float
+    target: Float
+    error: float
+    command: Float
+    rewards: tuple[float, float, float, float]
+
+
+class EpisodeLog:
+    """Logs an episode, from its first moment on; the episode notices nothing of it.
+
+    Row k of what describes a moment is k control periods after the beginning. What belongs to a
+    step, command and reward, is in the row of the moment in which the step ends; there is none
+    in row 0. What is not a finite number is left out.
+
+    Args:
+        recording: where the streams go; what is to receive them is attached already.
+        episode: that has not begun yet.
+        title: of the recording.
+        push: size of the push that the episode has [degrees]; 0: none.
+        noise: half width of the noise that the agent sees [m]; 0: none.
+    """
+
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        episode: Episode,
+        title: str,
+        *,
+        push: float = 0.0,
+        noise: float = 0.0,
+    ) -> None:
+        self._recording, self._episode = recording, episode
+        self._push, self._noise = push, noise
+        self._nanoseconds = 1e9 * episode.period
+        self._first = 0
+        self._waiting: list[_Moment] = []
+        self._events: list[tuple[int, str, str]] = []
+        self._last_angles: Float | None = None
+        self._was_pushed = False
+        recording.send_recording_name(title)
+        recording.send_blueprint(layout(episode))
+        self._log_static(title)
+        self._note(f"{title} begins on the orbit")
+        if episode.noisy:
+            self._note(f"the agent sees the lengths with noise of ±{noise:g} m", "WARN")
+        self._remember(np.full(2, np.nan), (np.nan, np.nan, np.nan, np.nan))
+
+    def step(self) -> None:
+        """Log the step that the episode has just made."""
+        episode, info = self._episode, self._episode.info
+        terms = float(info["reward_tracking"]), float(info["reward_action_change"])
+        self._remember(episode.command, (episode.reward, *terms, episode.earned))
+        if episode.failure:
+            self._note(f"the arm left its domain: {episode.failure}", "ERROR")
+        if len(self._waiting) >= _BLOCK:
+            self._send()
+
+    def finish(self) -> None:
+        """Log how the episode went, and send all that waits."""
+        self._note(self._episode.report())
+        self._send()
+
+    def _remember(self, command: Float, rewards: tuple[float, float, float, float]) -> None:
+        episode, info = self._episode, self._episode.info
+        self._waiting.append(
+            _Moment(
+                episode.arm_env.arm_joints,
+                np.array(episode.lengths),
+                np.array(info["base_angles"]),
+                np.array(info["target"]),
+                float(info["tracking_error"]),
+                command,
+                rewards,
+            )
+        )
+        pushed = episode.pushed and not episode.ended
+        if pushed != self._was_pushed:
+            self._note(
+                f"somebody pushes the base by {self._push:g}°" if pushed else "the push ends",
+                "WARN" if pushed else "INFO",
+            )
+        self._was_pushed = pushed
+
+    def _note(self, text: str, level: str = "INFO") -> None:
+        self._events.append((self._episode.steps_made, text, level))
+
+    # What does not change.
+
+    def _log_static(self, title: str) -> None:
+        episode = self._episode
+        body, orbit = episode.parameters, _thinned(episode.arm_env.orbit)
+        count, radius = body.compartments, body.base_radius
+        pointer = _POINTER * body.rest_length * count
+        log = self._log_once
+        log(
+            "about",
+            rr.TextDocument(
+                _about(episode, title, self._push, self._noise), media_type=rr.MediaType.MARKDOWN
+            ),
+        )
+        log("world", rr.ViewCoordinates.RIGHT_HAND_Z_DOWN)
+        log(
+            "world/arm/skin",
+            rr.Mesh3D.from_fields(
+                triangle_indices=_skin_triangles(count),
+                vertex_normals=_skin_normals(body),
+                vertex_colors=_skin_colours(count),
+            ),
+        )
+        log("world/arm/springs", rr.LineStrips3D.from_fields(colors=SPRINGS, radii=0.09 * radius))
+        log(
+            "world/base/plate",
+            rr.Cylinders3D(
+                lengths=0.3 * radius,
+                radii=1.25 * radius,
+                centers=[0.0, 0.0, -0.15 * radius],
+                colors=_METAL,
+                fill_mode=rr.components.FillMode.Solid,
+            ),
+        )
+        for name, colour, thick in (("base", BASE, 0.12), ("target", TARGET, 0.06)):
+            log(
+                f"world/{name}/pointer",
+                rr.Arrows3D(vectors=[0.0, 0.0, -pointer], radii=thick * radius, colors=colour),
+            )
+        ends = _rotated(_quaternions(orbit), np.array([0.0, 0.0, -pointer]))
+        log("world/orbit", rr.LineStrips3D([ends], radii=0.04 * radius, colors=ORBIT))
+
+        # The flip turns the downward axis of a flat view upwards; the data keep their signs.
+        log("portrait/plane", rr.Transform3D(scale=[1.0, -1.0, 1.0]))
+        reach = episode.arm_env.action_range
+        log(
+            "portrait/plane/axes",
+            rr.LineStrips2D(
+                [[[-reach, 0.0], [reach, 0.0]], [[0.0, -reach], [0.0, reach]]],
+                colors=_AXES,
+                radii=rr.Radius.ui_points(0.5),
+                draw_order=0.0,
+            ),
+        )
+        log(
+            "portrait/plane/names",
+            rr.Points2D(
+                [[reach, 0.0], [0.0, reach]],
+                labels=[f"θ {reach:g}°", f"φ {reach:g}°"],
+                show_labels=True,
+                colors=_AXES,
+                radii=rr.Radius.ui_points(1.0),
+            ),
+        )
+        log(
+            "portrait/plane/orbit",
+            rr.LineStrips2D([orbit], colors=ORBIT, radii=rr.Radius.ui_points(1.5), draw_order=1.0),
+        )
+        log(
+            "portrait/plane/trail",
+            rr.LineStrips2D.from_fields(
+                colors=BASE, radii=rr.Radius.ui_points(1.0), draw_order=2.0
+            ),
+        )
+        for name, colour, size in (("target", TARGET, 7.0), ("base", BASE, 5.0)):
+            log(
+                f"portrait/plane/{name}",
+                rr.Points2D.from_fields(
+                    colors=colour, radii=rr.Radius.ui_points(size), draw_order=40.0 - size
+                ),
+            )
+
+        log(
+            "strain",
+            rr.Image.from_fields(
+                format=rr.components.ImageFormat(
+                    width=count,
+                    height=4,
+                    color_model=rr.ColorModel.RGB,
+                    channel_datatype=rr.ChannelDatatype.U8,
+                )
+            ),
+        )
+        for spring, colour in enumerate(SPRINGS, start=1):
+            log(
+                f"springs/{spring}",
+                rr.SeriesLines(
+                    colors=_fading(colour, count),
+                    names=[f"compartment {index + 1}" for index in range(count)],
+                ),
+            )
+        for path, name, colour in _SERIES:
+            held = path.endswith("command")
+            log(
+                path,
+                rr.SeriesLines(
+                    colors=colour,
+                    names=name,
+                    # A command holds from the moment of the row before to that of its own.
+                    interpolation_mode=rr.components.InterpolationMode.StepBefore if held else None,
+                ),
+            )
+
+    def _log_once(self, path: str, archetype: rr.AsComponents) -> None:
+        self._recording.log(path, archetype, static=True, strict=True)
+
+    # What changes from row to row.
+
+    def _send(self) -> None:
+        """Send the rows that wait."""
+        if self._waiting:
+            first, self._first = self._first, self._first + len(self._waiting)
+            rows = np.arange(first, self._first)
+            joints, lengths, angles, targets, errors, commands, rewards = (
+                np.array(column) for column in zip(*self._waiting, strict=True)
+            )
+            self._waiting.clear()
+            self._send_arm(rows, joints, lengths)
+            self._send_base(rows, angles, targets)
+            for axis, name in enumerate(("theta", "phi")):
+                self._send_scalars(f"angles/{name}/command", rows, commands[:, axis])
+            self._send_scalars("error/tracking", rows, errors)
+            finite = np.isfinite(angles).all(axis=1)
+            distances = orbit_distance(angles[finite], self._episode.arm_env.orbit)
+            self._send_scalars("error/orbit", rows[finite], distances)
+            for column, name in enumerate(("reward", "tracking", "action_change", "return")):
+                self._send_scalars(f"reward/{name}", rows, rewards[:, column])
+        if self._events:
+            steps, texts, levels = zip(*self._events, strict=True)
+            self._events.clear()
+            columns = rr.TextLog.columns(text=texts, level=levels)
+            self._send_columns("events", np.array(steps), columns)
+
+    def _send_arm(self, rows: NDArray[np.int64], joints: Float, lengths: Float) -> None:
+        finite = np.isfinite(joints).all(axis=(1, 2, 3)) & np.isfinite(lengths).all(axis=1)
+        rows, joints, lengths = rows[finite], joints[finite], lengths[finite]
+        count, planes = len(rows), joints.shape[1]
+        if not count:
+            return
+        skins = np.array([mesh.skin(each) for each in joints], dtype=np.float32)
+        self._send_columns(
+            "world/arm/skin",
+            rows,
+            rr.Mesh3D.columns(vertex_positions=skins.reshape(-1, 3)).partition(
+                [skins[0].size // 3] * count
+            ),
+        )
+        strips = joints.transpose(0, 2, 1, 3).reshape(-1, planes, 3).astype(np.float32)
+        self._send_columns(
+            "world/arm/springs",
+            rows,
+            rr.LineStrips3D.columns(strips=list(strips)).partition([4] * count),
+        )
+        rest_length = self._episode.parameters.rest_length
+        strains = lengths.reshape(count, -1, 4).transpose(0, 2, 1) / rest_length - 1
+        pictures = strain_colours(strains).reshape(count, -1)
+        self._send_columns("strain", rows, rr.Image.columns(buffer=list(pictures)))
+        for spring in range(4):
+            own = lengths[:, spring::4]
+            self._send_columns(
+                f"springs/{spring + 1}",
+                rows,
+                rr.Scalars.columns(scalars=own.reshape(-1)).partition([own.shape[1]] * count),
+            )
+
+    def _send_base(self, rows: NDArray[np.int64], angles: Float, targets: Float) -> None:
+        for kind, pairs in (("base", angles), ("target", targets)):
+            finite = np.isfinite(pairs).all(axis=1)
+            kept, moments = pairs[finite], rows[finite]
+            for axis, name in enumerate(("theta", "phi")):
+                self._send_scalars(f"angles/{name}/{kind}", moments, kept[:, axis])
+            if not len(kept):
+                continue
+            attitudes = _quaternions(kept).astype(np.float32)
+            self._send_columns(
+                f"world/{kind}", moments, rr.Transform3D.columns(quaternion=attitudes)
+            )
+            points = kept.astype(np.float32)
+            self._send_columns(
+                f"portrait/plane/{kind}", moments, rr.Points2D.columns(positions=points)
+            )
+            if kind == "base":
+                begin = kept[0] if self._last_angles is None else self._last_angles
+                befores = np.concatenate((begin[np.newaxis], kept[:-1])).astype(np.float32)
+                pieces = list(np.stack((befores, points), axis=1))
+                self._send_columns(
+                    "portrait/plane/trail", moments, rr.LineStrips2D.columns(strips=pieces)
+                )
+                self._last_angles = kept[-1]
+
+    def _send_scalars(self, path: str, rows: NDArray[np.int64], values: Float) -> None:
+        finite = np.isfinite(values)
+        if finite.any():
+            self._send_columns(path, rows[finite], rr.Scalars.columns(scalars=values[finite]))
+
+    def _send_columns(
+        self, path: str, rows: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
+    ) -> None:
+        # Whole nanoseconds: a float of seconds would be cut off, not rounded.
+        times = np.rint(rows * self._nanoseconds).astype("timedelta64[ns]")
+        indexes = [rr.TimeColumn("time", duration=times), rr.TimeColumn("step", sequence=rows)]
+        self._recording.send_columns(path, indexes, columns, strict=True)
+
+
+_SERIES: tuple[tuple[str, str, Colour], ...] = (
+    *(
+        (f"angles/{angle}/{kind}", f"{letter} {kind}", colour)
+        for angle, letter in (("theta", "θ"), ("phi", "φ"))
+        for kind, colour in (("command", _COMMAND), ("target", TARGET), ("base", BASE))
+    ),
+    ("error/tracking", "from the target", _ERROR),
+    ("error/orbit", "from the orbit", ORBIT),
+    ("reward/reward", "reward", BASE),
+    ("reward/tracking", "for tracking", TARGET),
+    ("reward/action_change", "for changes of the action", _ERROR),
+    ("reward/return", "return", BASE),
+)
+"""Path, name and colour of each lone series."""
+
+
+def _skin_triangles(compartments: int) -> NDArray[np.uint32]:
+    """Give the triangles between the rings of `mesh.skin`, front sides outwards, (n, 3)."""
+    rings = compartments + 4
+    ring, side = np.meshgrid(np.arange(rings - 1), np.arange(mesh.SIDES), indexing="ij")
+    beside = (side + 1) % mesh.SIDES
+    here, there = ring * mesh.SIDES + side, ring * mesh.SIDES + beside
+    below, diagonal = here + mesh.SIDES, there + mesh.SIDES
+    first = np.stack((here, there, diagonal), axis=-1)
+    second = np.stack((here, diagonal, below), axis=-1)
+    return np.stack((first, second), axis=2).reshape(-1, 3).astype(np.uint32)
+
+
+def _skin_normals(body: ArmParameters) -> NDArray[np.float32]:
+    """Outward normals of the skin of the straight arm, (vertices, 3).
+
+    They light the bent arm too: it leans little enough that nobody sees a difference, and a
+    recording is half as large as with those of every moment.
+    """
+    count = body.compartments
+    radii = np.linspace(body.base_radius, body.tip_radius, count + 1)
+    corners = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    joints = radii[:, np.newaxis, np.newaxis] * corners
+    joints[..., 2] = body.rest_length * np.arange(count + 1)[:, np.newaxis]
+    rings = mesh.skin(joints)
+    middles = mesh.centres(joints)
+    middles = np.concatenate((middles, np.repeat(middles[-1:], len(rings) - count - 1, axis=0)))
+    outwards = rings - middles[:, np.newaxis]
+    outwards /= np.linalg.norm(outwards, axis=2, keepdims=True)
+    return outwards.reshape(-1, 3).astype(np.float32)
+
+
+def _skin_colours(compartments: int) -> NDArray[np.uint8]:
+    """Rings of two shades of flesh, (vertices, 3)."""
+    shades = np.array(FLESH, dtype=np.uint8)[np.arange(compartments + 4) % 2]
+    return np.repeat(shades, mesh.SIDES, axis=0)
+
+
+def _fading(colour: Colour, count: int) -> list[Colour]:
+    """Shades of a colour, bright at the base, dim at the tip."""
+    shares = np.linspace(1.0, 0.35, count)
+    return [
+        (round(share * colour[0]), round(share * colour[1]), round(share * colour[2]))
+        for share in shares.tolist()
+    ]
+
+
+def _thinned(orbit: Float, points: int = 256) -> Float:
+    """Points enough to draw a closed curve, the first again at the end, (n, 2)."""
+    return np.concatenate((orbit[:: max(1, len(orbit) // points)], orbit[:1]))
+
+
+def _quaternions(angles: Float) -> Float:
+    """Attitudes of the base: turned by θ about x, then by φ about its own y.
+
+    Args:
+        angles: (n, 2) [degrees].
+
+    Returns:
+        Quaternions x, y, z, w, (n, 4).
+    """
+    half = 0.5 * np.radians(angles)
+    (s, t), (c, d) = np.sin(half).T, np.cos(half).T
+    return np.stack((s * d, c * t, s * t, c * d), axis=1)
+
+
+def _rotated(quaternions: Float, vector: Float) -> Float:
+    """Turn a vector by each of the quaternions, (n, 3)."""
+    axis, w = quaternions[:, :3], quaternions[:, 3:]
+    across = 2.0 * np.cross(axis, vector)
+    turned: Float = vector + w * across + np.cross(axis, across)
+    return turned
+
+
+def _about(episode: Episode, title: str, push: float, noise: float) -> str:
+    """Describe an episode, its body and its streams, in Markdown."""
+    env, settings = episode.arm_env, dict(episode.settings)
+    if not isinstance(settings["target"], str):
+        settings["target"] = f"its own, {len(settings['target'])} points"
+    facts: dict[str, Any] = {
+        "seed": episode.seed,
+        "steps": episode.steps,
+        "push [degrees]": push or "none",
+        "noise [m]": noise or "none",
+        **settings,
+        "period of the target [s]": env.period,
+    }
+    lines = [f"# {title}", *_table("Episode", facts)]
+    lines += _table("Streams", {f"`{path}`": meaning for path, meaning in STREAMS.items()})
+    lines += _table("Body (SI units)", episode.parameters.to_dict())
+    return "\n".join(lines) + "\n"
+
+
+def _table(heading: str, entries: dict[str, Any]) -> list[str]:
+    rows = [f"| {name} | {value} |" for name, value in entries.items()]
+    return ["", f"## {heading}", "", "| | |", "|---|---|", *rows]

@@ -1,0 +1,42 @@
+"""What colours mean, the same in every picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "BASE",
+    "FLESH",
+    "ORBIT",
+    "SPRINGS",
+    "STRAIN_SCALE",
+    "TARGET",
+    "Colour",
+    "strain_colours",
+]
+
+Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
+
+SPRINGS: tuple[Colour, ...] = ((240, 228, 66), (86, 180, 233), (0, 190, 130), (213, 80, 0))
+"""Colours of springs 1 to 4, told apart by the colour-blind too (after Okabe and Ito)."""
+FLESH: tuple[Colour, Colour] = ((250, 164, 136), (230, 138, 112))
+"""Colours of compartments, in turn."""
+BASE: Colour = (255, 150, 40)
+ORBIT: Colour = (190, 214, 224)
+TARGET: Colour = (255, 255, 255)
+
+_SHORTER = np.array([59.0, 90.0, 235.0])
+_NEUTRAL = np.array([236.0, 236.0, 232.0])
+_LONGER = np.array([200.0, 20.0, 40.0])
+STRAIN_SCALE = 0.2
+"""Strain of the strongest colour; a quarter of it has half of the colour."""
+
+
+def strain_colours(strains: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Give the colours of strains, (…, 3): blue is shorter, red is longer than at rest."""
+    shares = np.sqrt(np.clip(np.abs(strains) / STRAIN_SCALE, 0.0, 1.0))[..., np.newaxis]
+    ends = np.where(strains[..., np.newaxis] < 0, _SHORTER, _LONGER)
+    colours: NDArray[np.uint8] = np.rint(_NEUTRAL + shares * (ends - _NEUTRAL)).astype(np.uint8)
+    return colours

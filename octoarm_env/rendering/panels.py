@@ -1,0 +1,246 @@
+"""The flat parts of a picture: figures, phase portrait of the base, strain of the springs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_env.rendering.colours import (
+    BASE,
+    ORBIT,
+    SPRINGS,
+    STRAIN_SCALE,
+    TARGET,
+    Colour,
+    strain_colours,
+)
+from octoarm_env.rendering.history import History
+from octoarm_env.rendering.toolkit import pygame
+
+__all__ = ["Label", "Panels", "status_lines"]
+
+Float = NDArray[np.float64]
+_TEXT: Colour = (236, 244, 248)
+_FAINT: Colour = (156, 190, 204)
+_ALARM: Colour = (255, 120, 100)
+_AXIS: Colour = (60, 96, 116)
+_PANEL = (4, 22, 40, 150)
+
+_SMALLEST = 0.45
+"""Least share of 640×480 at which there are panels; below, text cannot be read."""
+_TRACE_POINTS = 120
+
+
+class Label(NamedTuple):
+    """A text and where it goes, in pixels of the finished picture."""
+
+    text: str
+    x: float
+    y: float
+    colour: Colour = _TEXT
+    size: int = 15
+    anchor: Literal["left", "middle", "right"] = "left"
+
+
+class Panels:
+    """Draws the flat parts.
+
+    Args:
+        size: of the finished picture, (width, height) [pixels].
+        oversampling: pixels of the canvas for each of them.
+        orbit: the target, (K, 2) [degrees].
+        reach: largest angle of the portrait [degrees].
+        compartments: of the arm.
+
+    Attributes:
+        shown: whether there is room for them.
+        bottom: height that they take at the bottom [pixels].
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        oversampling: int,
+        orbit: Float,
+        reach: float,
+        compartments: int,
+    ) -> None:
+        self._size, self._fine = size, oversampling
+        self._reach, self._compartments = reach, compartments
+        share = min(size[0] / 640, size[1] / 480)
+        self.shown = share >= _SMALLEST
+        self.unit = max(share, 0.65)
+        """Of all lengths: 1 for a picture of 640×480."""
+        self.bottom = 88.0 * self.unit if self.shown else 0.0
+        step = max(1, len(orbit) // 256)
+        self._orbit = np.concatenate((orbit[::step], orbit[:1]))
+        self._fonts: dict[int, pygame.font.Font] = {}
+        self._shades: dict[tuple[int, int], pygame.Surface] = {}
+
+    def draw(self, canvas: pygame.Surface, history: History, strains: Float) -> list[Label]:
+        """Draw the shapes, and give the texts for :meth:`write`.
+
+        Args:
+            canvas: as large as the picture times the oversampling.
+            history: what there is to say.
+            strains: of the springs, (N, 4).
+        """
+        if not self.shown:
+            return []
+        return [*self._portrait(canvas, history), *self._strip(canvas, strains)]
+
+    def write(self, picture: pygame.Surface, labels: list[Label]) -> None:
+        """Write texts onto the finished picture."""
+        for text, x, y, colour, size, anchor in labels:
+            image = self._font(size).render(text, True, colour)
+            shift = {"left": 0.0, "middle": 0.5, "right": 1.0}[anchor] * image.get_width()
+            picture.blit(image, (round(x - shift), round(y)))
+
+    def width(self, text: str, size: int = 15) -> float:
+        """Give how wide a text is [pixels]."""
+        return self._font(size).size(text)[0]
+
+    def figures(self, canvas: pygame.Surface, lines: list[tuple[str, Colour]]) -> list[Label]:
+        """Draw the panel at the top left for lines of text."""
+        if not self.shown or not lines:
+            return []
+        unit = self.unit
+        # Mostly one width, so that the panel does not twitch.
+        wide = max([self.width(text) + 16 * unit for text, _ in lines] + [150 * unit])
+        self._panel(canvas, 8 * unit, 8 * unit, wide, (10 + 17 * len(lines)) * unit)
+        return [
+            Label(text, 16 * unit, (12 + 17 * row) * unit, colour)
+            for row, (text, colour) in enumerate(lines)
+        ]
+
+    def _font(self, size: int) -> pygame.font.Font:
+        pixels = max(9, round(size * self.unit))
+        if pixels not in self._fonts:
+            if not pygame.font.get_init():
+                pygame.font.init()
+            self._fonts[pixels] = pygame.font.Font(None, round(1.3 * pixels))
+        return self._fonts[pixels]
+
+    def _panel(self, canvas: pygame.Surface, x: float, y: float, wide: float, high: float) -> None:
+        fine = self._fine
+        size = (round(wide * fine), round(high * fine))
+        if size not in self._shades:
+            if len(self._shades) > 16:
+                self._shades.clear()
+            shade = pygame.Surface(size, pygame.SRCALPHA, 32)
+            pygame.draw.rect(shade, _PANEL, shade.get_rect(), border_radius=round(6 * fine))
+            self._shades[size] = shade
+        canvas.blit(self._shades[size], (round(x * fine), round(y * fine)))
+
+    def _portrait(self, canvas: pygame.Surface, history: History) -> list[Label]:
+        """θ to the right, φ upwards: orbit, late trace, base and target now."""
+        unit, fine = self.unit, self._fine
+        side, margin = 150 * unit, 8 * unit
+        left, top = self._size[0] - side - margin, margin
+        self._panel(canvas, left, top, side, side + 18 * unit)
+        middle = np.array([left + side / 2, top + side / 2]) * fine
+        scale = (side / 2 - 10 * unit) / self._reach * fine * np.array([1.0, -1.0])
+        thin = max(1, round(unit * fine))
+        frame = pygame.Rect(
+            round(left * fine), round(top * fine), round(side * fine), round(side * fine)
+        )
+        clip = canvas.get_clip()
+        canvas.set_clip(frame)
+        for axis in range(2):
+            arm = np.zeros(2)
+            arm[axis] = self._reach
+            begin, end = (middle - arm * scale).tolist(), (middle + arm * scale).tolist()
+            pygame.draw.line(canvas, _AXIS, begin, end, thin)
+        pygame.draw.lines(canvas, ORBIT, False, (self._orbit * scale + middle).tolist(), thin)
+        trace = history.trace
+        step = max(1, len(trace) // _TRACE_POINTS)
+        points = (trace[::-step][::-1] * scale + middle).tolist()
+        for index, (begin, end) in enumerate(pairwise(points)):
+            share = 0.25 + 0.75 * (index + 1) / (len(points) - 1)
+            colour = tuple(round(30 + share * (part - 30)) for part in BASE)
+            pygame.draw.line(canvas, colour, begin, end, round(2 * unit * fine))
+        target = tuple(np.asarray(history.target) * scale + middle)
+        pygame.draw.circle(canvas, TARGET, target, 6 * unit * fine, round(1.6 * unit * fine))
+        pygame.draw.circle(canvas, BASE, points[-1], 3.6 * unit * fine)
+        canvas.set_clip(clip)
+        below = top + side
+        reach = f"±{self._reach:.3g}°"
+        return [
+            Label("φ", left + side / 2 + 5 * unit, top + 3 * unit, _FAINT, 13),
+            Label("θ", left + side - 6 * unit, top + side / 2 + 3 * unit, _FAINT, 13, "right"),
+            Label("base", left + 8 * unit, below, BASE, 13),
+            Label("target", left + side / 2 - 4 * unit, below, TARGET, 13, "middle"),
+            Label(reach, left + side - 8 * unit, below, _FAINT, 13, "right"),
+        ]
+
+    def _strip(self, canvas: pygame.Surface, strains: Float) -> list[Label]:
+        """Draw a row for each of the four springs, a cell for each compartment."""
+        unit, fine = self.unit, self._fine
+        margin, wide = 8 * unit, self._size[0] - 16 * unit
+        top = self._size[1] - self.bottom + 2 * unit
+        high = self.bottom - 2 * unit - margin
+        self._panel(canvas, margin, top, wide, high)
+        left, right = margin + 22 * unit, margin + wide - 10 * unit
+        first, row = top + 20 * unit, (high - 26 * unit) / 4
+        colours = strain_colours(strains)
+        edges = np.linspace(left, right, self._compartments + 1) * fine
+        gap = fine if edges[1] - edges[0] > 6 * fine else 0
+        for spring in range(4):
+            y = round((first + spring * row) * fine)
+            tall = round((first + (spring + 1) * row) * fine) - y
+            for index, colour in enumerate(colours[:, spring].tolist()):
+                begin, end = round(edges[index]), round(edges[index + 1])
+                canvas.fill(colour, (begin, y, max(end - begin - gap, 1), max(tall - fine, 1)))
+        labels = [
+            Label(
+                str(spring + 1),
+                margin + 11 * unit,
+                first + (spring - 0.15) * row,
+                SPRINGS[spring],
+                13,
+                "middle",
+            )
+            for spring in range(4)
+        ]
+        labels.append(Label("base", left, top + 3 * unit, _FAINT, 13))
+        labels.append(Label("tip", right, top + 3 * unit, _FAINT, 13, "right"))
+        return labels + self._scale(canvas, top + 4 * unit)
+
+    def _scale(self, canvas: pygame.Surface, top: float) -> list[Label]:
+        """Draw what the colours mean."""
+        unit, fine = self.unit, self._fine
+        wide, high = 150 * unit, 10 * unit
+        left = (self._size[0] - wide) / 2 + 30 * unit
+        steps = 30
+        shares = (np.arange(steps) + 0.5) / steps * 2 - 1
+        colours = strain_colours(np.sign(shares) * shares**2 * STRAIN_SCALE).tolist()
+        for index, colour in enumerate(colours):
+            x = round((left + index * wide / steps) * fine)
+            end = round((left + (index + 1) * wide / steps) * fine)
+            canvas.fill(colour, (x, round(top * fine), end - x, round(high * fine)))
+        most = 100 * STRAIN_SCALE
+        words = f"spring strain  −{most:g} %"
+        if left - 4 * unit - self.width(words, 13) < 36 * unit + self.width("base", 13):
+            words = f"−{most:g} %"
+        return [
+            Label(words, left - 4 * unit, top - unit, _FAINT, 13, "right"),
+            Label(f"+{most:g} %", left + wide + 4 * unit, top - unit, _FAINT, 13),
+        ]
+
+
+def status_lines(title: str, history: History, notes: Sequence[str]) -> list[tuple[str, Colour]]:
+    """Give the lines of figures of an episode."""
+    theta, phi = history.trace[-1]
+    lines = [(title, _TEXT), (f"{history.time:.2f} s", _TEXT)]
+    lines.append((f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−"), BASE))
+    lines.append((f"error {history.tracking_error:.2f}°", _TEXT))
+    if history.reward is not None:
+        lines.append((f"return {history.total:.1f} of {history.steps}", _TEXT))
+    if history.failure:
+        lines.append(("left its domain", _ALARM))
+    lines += [(note, _FAINT) for note in notes]
+    return lines

@@ -1,0 +1,181 @@
+"""What environments need to be seen; pygame is not touched before a picture is asked for."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from octoarm_env.parameters import ArmParameters
+from octoarm_env.rendering.camera import find_camera, picture_size
+from octoarm_env.rendering.history import History
+
+if TYPE_CHECKING:
+    from octoarm_env.rendering.renderer import Renderer
+    from octoarm_env.rendering.window import Window
+
+__all__ = ["Pictures", "Subject", "render_fps", "warn_without_mode"]
+
+Float = NDArray[np.float64]
+
+_RENDERERS = 4
+"""How many renderers of different arms and targets are kept at once."""
+
+
+def render_fps(control_period: float) -> float:
+    """Give the frames of a second in which an arm is as fast as it is, one a step."""
+    frames = round(1.0 / control_period, 6)
+    return int(frames) if frames == int(frames) else frames
+
+
+def warn_without_mode() -> None:
+    """Say that there is nothing to render, as Gymnasium's own environments do."""
+    gym.logger.warn(
+        "render was called, but render_mode is None: "
+        'make the environment with render_mode="rgb_array".'
+    )
+
+
+class Subject(NamedTuple):
+    """What is in a picture.
+
+    Attributes:
+        joints: `OctoArmEnv.arm_joints`, (N + 1, 4, 3) [m].
+        orbit: the target, (K, 2) [degrees].
+        action_range: degrees of base rotation at an action of 1.
+    """
+
+    joints: Float
+    orbit: Float
+    action_range: float
+
+
+class Pictures:
+    """The pictures of one or more environments.
+
+    Args:
+        settings: of each environment, as JSON text.
+        render_mode: None, or one of the next argument.
+        render_modes: that there are.
+        width: of a picture, 16 to 4096 [pixels].
+        height: of a picture, 16 to 4096 [pixels].
+        camera: a `Camera`, a name in `CAMERAS`, or None for the default.
+        overlay: whether figures, phase portrait and strains are in the picture.
+
+    Raises:
+        ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
+    """
+
+    def __init__(
+        self,
+        settings: Sequence[str],
+        render_mode: Any,
+        render_modes: Sequence[str],
+        width: Any,
+        height: Any,
+        camera: Any,
+        overlay: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in render_modes:
+            known = ", ".join(repr(mode) for mode in render_modes)
+            raise ValueError(f"render_mode = {render_mode!r}: expected None or one of {known}")
+        if not isinstance(overlay, bool | np.bool_):
+            raise TypeError(f"overlay = {overlay!r}: expected True or False")
+        self._size, self._camera = picture_size(width, height), find_camera(camera)
+        self._overlay, self._settings = bool(overlay), settings
+        self._histories: list[History] = []
+        if render_mode is not None:
+            period = json.loads(settings[0])["control_period"]
+            self._histories = [History(period) for _ in settings]
+        self._renderers: OrderedDict[str, Renderer] = OrderedDict()
+        self._window: Window | None = None
+        self._warned = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is a render mode; only then anything is kept."""
+        return bool(self._histories)
+
+    def begin(self, index: int, info: Mapping[str, Any]) -> None:
+        """An environment's episode has begun."""
+        self._histories[index].begin(info)
+
+    def add(self, index: int, info: Mapping[str, Any], reward: float) -> None:
+        """An environment has made a step."""
+        self._histories[index].add(info, reward)
+
+    def frame(self, index: int, subject: Subject) -> NDArray[np.uint8]:
+        """Give the picture of an environment, (height, width, 3).
+
+        Raises:
+            gymnasium.error.ResetNeeded: no episode has begun.
+            gymnasium.error.DependencyNotInstalled: there is no pygame.
+        """
+        history = self._begun(index)
+        return self._renderer(index, subject).frame(subject.joints, history)
+
+    def show(self, subject: Subject, *, again: bool = False) -> None:
+        """Show the first environment in a window, in the time that its steps take.
+
+        Args:
+            subject: what is to be seen.
+            again: show what was shown already, without waiting.
+
+        Raises:
+            gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as `frame`.
+            octoarm_env.rendering.window.WindowError: there is no display.
+        """
+        from octoarm_env.rendering.window import Window
+
+        history = self._begun(0)
+        if self._window is None:
+            renderer = self._renderer(0, subject)
+            self._window = Window(renderer, "OctoArm-v0", history.control_period)
+        self._window.show(subject.joints, history, again=again)
+        if self._window.closed and not self._warned:
+            self._warned = True
+            gym.logger.warn("The window was closed: the arm goes on unseen, as fast as it can.")
+
+    def close(self) -> None:
+        """Close the window, and let go of what drew."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+        self._renderers.clear()
+
+    def _begun(self, index: int) -> History:
+        history = self._histories[index]
+        if not history.began:
+            raise ResetNeeded("render was called before reset: there is no arm to be seen")
+        return history
+
+    def _renderer(self, index: int, subject: Subject) -> Renderer:
+        from octoarm_env.rendering.renderer import Renderer
+
+        text = self._settings[index]
+        if text not in self._renderers:
+            settings = json.loads(text)
+            target = settings["target"]
+            self._renderers[text] = Renderer(
+                ArmParameters.from_dict(settings["arm"]),
+                subject.orbit,
+                subject.action_range,
+                target if isinstance(target, str) else "own target",
+                size=self._size,
+                camera=self._camera,
+                overlay=self._overlay,
+            )
+            if len(self._renderers) > _RENDERERS:
+                self._renderers.popitem(last=False)
+        self._renderers.move_to_end(text)
+        return self._renderers[text]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what draws, which is made anew when it is needed."""
+        return self.__dict__ | {"_renderers": OrderedDict(), "_window": None}

@@ -1,0 +1,258 @@
+"""A window in which an arm is seen while it moves, from where the mouse wants it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_env.rendering.camera import CAMERAS
+from octoarm_env.rendering.history import History
+from octoarm_env.rendering.renderer import Renderer
+from octoarm_env.rendering.toolkit import pygame
+
+__all__ = ["Window", "WindowError"]
+
+Float = NDArray[np.float64]
+
+_FRAME_TIME = 1 / 60
+"""Least time between frames [s]."""
+_SPEEDS = (0.01, 100.0)
+_SMALLEST = 160
+_TURN = 0.4
+"""Degrees around the arm for a pixel of the mouse."""
+_EXAGGERATIONS = (1.0, 2.0, 4.0, 8.0)
+_HELP = (
+    "space  pause      .  one step",
+    "+ −  speed        1  real time",
+    "wheel  zoom       r  camera of before",
+    "c  next camera    x  exaggerate sideways",
+    "o  figures        q  close",
+)
+
+
+class WindowError(RuntimeError):
+    """No window can be opened."""
+
+
+class Window:
+    """Shows steps in the time that they take.
+
+    Left button: drag around the arm (right button, where the left one leads the base). Wheel: zoom.
+    Keys: `h` shows them.
+
+    Args:
+        renderer: draws; its camera is that of before.
+        caption: of the window.
+        control_period: seconds of a step.
+        speed: times real time, 0.01 to 100.
+        lead: whether the left button and the arrow keys lead the base; see `lean`.
+
+    Attributes:
+        closed: whether the user has closed it; then nothing is shown, and nothing waits.
+        paused: whether the time stands.
+        speed: times real time.
+        lean: (2,), where the mouse leads the base: to the right and away, a disc of radius 1.
+
+    Raises:
+        WindowError: there is no display.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        caption: str,
+        control_period: float,
+        *,
+        speed: float = 1.0,
+        lead: bool = False,
+    ) -> None:
+        self._renderer, self._camera = renderer, renderer.camera
+        self._period, self._lead = control_period, lead
+        self.speed, self._speed = speed, speed
+        self.closed = self.paused = self._help = self._one_step = self._stale = False
+        self.lean = np.zeros(2)
+        self._held: int | None = None
+        try:
+            pygame.display.init()
+            self._screen = pygame.display.set_mode(renderer.size, pygame.RESIZABLE)
+        except pygame.error as error:
+            pygame.display.quit()
+            raise WindowError(
+                f"no window can be opened: {error}. Without a display use "
+                'render_mode="rgb_array" or octoarm record'
+            ) from None
+        pygame.display.set_caption(caption)
+        pygame.key.set_repeat(300, 60)
+        self._due = self._next_frame = time.monotonic()
+
+    @property
+    def renderer(self) -> Renderer:
+        """What draws; another one after the window's size has changed."""
+        return self._renderer
+
+    def show(self, joints: Float, history: History, *, again: bool = False) -> None:
+        """Show a step when its time has come; while paused, wait.
+
+        Args:
+            joints: `OctoArmEnv.arm_joints`, (N + 1, 4, 3) [m].
+            history: of the episode, which has begun.
+            again: the step was shown already: draw it at once, and do not wait.
+        """
+        self._one_step, self._stale = False, self._stale or again
+        if not again:
+            self._due += self._period / self.speed
+        while not self.closed:
+            self._react()
+            if self.closed:
+                return
+            now = time.monotonic()
+            if self._stale or (now >= self._next_frame and (self.paused or now >= self._due)):
+                self._draw(joints, history)
+            if self._one_step:
+                break
+            if self.paused:
+                self._due = time.monotonic()
+                time.sleep(_FRAME_TIME / 2)
+                continue
+            left = self._due - time.monotonic()
+            if left <= 0:
+                break
+            time.sleep(min(left, _FRAME_TIME / 2))
+        now = time.monotonic()
+        if now - self._due > 0.1:  # too slow, or stopped for a while: what is lost is lost
+            self._due = now
+
+    def hold(self, joints: Float, history: History) -> None:
+        """Show an end until the window is closed or a key or button is pressed."""
+        while not self.closed:
+            if any(event in (pygame.KEYDOWN, pygame.MOUSEBUTTONDOWN) for event in self._react()):
+                return
+            self._draw(joints, history)
+            time.sleep(_FRAME_TIME)
+
+    def close(self) -> None:
+        """Close the window; nothing happens if it is closed."""
+        if not self.closed:
+            self.closed = True
+            pygame.display.quit()
+
+    def _draw(self, joints: Float, history: History) -> None:
+        state = "paused" if self.paused else f"{self.speed:.3g}×"
+        self._renderer.notes = (f"{state}   h: keys", *(_HELP if self._help else ()))
+        self._screen.blit(self._renderer.draw(joints, history), (0, 0))
+        pygame.display.flip()
+        self._stale = False
+        self._next_frame = time.monotonic() + _FRAME_TIME * 0.9
+
+    def _react(self) -> list[int]:
+        """Do what the user asked for; give the types of what happened."""
+        events = pygame.event.get()
+        for event in events:
+            if event.type == pygame.QUIT:
+                self.close()
+                break
+            if event.type == pygame.KEYDOWN:
+                self._key(event)
+            elif event.type == pygame.VIDEORESIZE:
+                self._resize(event.w, event.h)
+            elif event.type == pygame.MOUSEWHEEL:
+                self._renderer.camera = self._renderer.camera.zoomed(1.15**event.y)
+                self._stale = True
+            elif event.type == pygame.MOUSEBUTTONDOWN and event.button in (1, 3):
+                self._held = event.button
+            elif event.type == pygame.MOUSEBUTTONUP and event.button == self._held:
+                self._held = None
+            elif event.type == pygame.MOUSEMOTION and self._held is not None:
+                self._drag(*event.rel)
+            if self.closed:
+                break
+        return [event.type for event in events]
+
+    def _drag(self, right: float, down: float) -> None:
+        if self._lead and self._held == 1:
+            self._shift(np.array([right, -down]) / (0.25 * self._renderer.size[1]))
+            return
+        self._renderer.camera = self._renderer.camera.orbited(_TURN * right, _TURN * down)
+        self._stale = True
+
+    def _shift(self, way: Float) -> None:
+        lean = self.lean + way
+        self.lean = lean / max(1.0, float(np.hypot(*lean)))
+
+    def _resize(self, width: int, height: int) -> None:
+        size = (max(width, _SMALLEST), max(height, _SMALLEST))
+        if size != self._renderer.size:
+            self._renderer = self._renderer.resized(*size)
+            self._screen = pygame.display.get_surface() or self._screen
+            self._stale = True
+
+    def _key(self, event: Any) -> None:
+        arrows = {
+            pygame.K_LEFT: (-0.1, 0.0),
+            pygame.K_RIGHT: (0.1, 0.0),
+            pygame.K_UP: (0.0, 0.1),
+            pygame.K_DOWN: (0.0, -0.1),
+        }
+        if self._lead and event.key in arrows:
+            self._shift(np.array(arrows[event.key]))
+            return
+        actions: dict[int, Callable[[], None]] = {
+            pygame.K_SPACE: self._pause,
+            pygame.K_PERIOD: self._step,
+            pygame.K_ESCAPE: self.close,
+            pygame.K_1: lambda: self._set_speed(1.0),
+            pygame.K_KP_PLUS: lambda: self._set_speed(2 * self.speed),
+            pygame.K_KP_MINUS: lambda: self._set_speed(self.speed / 2),
+        }
+        words: dict[str, Callable[[], None]] = {
+            "+": actions[pygame.K_KP_PLUS],
+            "=": actions[pygame.K_KP_PLUS],
+            "-": actions[pygame.K_KP_MINUS],
+            "c": self._next_camera,
+            "h": self._toggle_help,
+            "o": self._toggle_overlay,
+            "q": self.close,
+            "r": self._restore,
+            "x": self._exaggerate,
+        }
+        act = actions.get(event.key) or words.get(getattr(event, "unicode", ""))
+        if act is not None:
+            act()
+            self._stale = True
+
+    def _pause(self) -> None:
+        self.paused = not self.paused
+
+    def _step(self) -> None:
+        self.paused = self._one_step = True
+
+    def _set_speed(self, speed: float) -> None:
+        self.speed = min(max(speed, _SPEEDS[0]), _SPEEDS[1])
+
+    def _next_camera(self) -> None:
+        cameras = list(CAMERAS.values())
+        factor = self._renderer.camera.exaggeration
+        here = dataclasses.replace(self._renderer.camera, exaggeration=1.0)
+        index = cameras.index(here) + 1 if here in cameras else 0
+        chosen = cameras[index % len(cameras)]
+        self._renderer.camera = dataclasses.replace(chosen, exaggeration=factor)
+
+    def _exaggerate(self) -> None:
+        now = self._renderer.camera.exaggeration
+        larger = next((factor for factor in _EXAGGERATIONS if factor > now), _EXAGGERATIONS[0])
+        self._renderer.camera = dataclasses.replace(self._renderer.camera, exaggeration=larger)
+
+    def _toggle_help(self) -> None:
+        self._help = not self._help
+
+    def _toggle_overlay(self) -> None:
+        self._renderer.overlay = not self._renderer.overlay
+
+    def _restore(self) -> None:
+        self._renderer.camera, self.speed = self._camera, self._speed
+        self.lean = np.zeros(2)

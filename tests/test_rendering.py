@@ -1,0 +1,710 @@
+"""What is on the pictures, and that drawing them changes nothing."""
+
+import copy
+import json
+import pickle
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import AddRenderObservation, HumanRendering, RecordVideo, RenderCollection
+from gymnasium.wrappers.vector import RecordVideo as RecordVectorVideo
+
+from octoarm_env import LIMIT_CYCLES, ArmParameters, OctoArmEnv, OctoArmVectorEnv, TeacherPolicy
+from octoarm_env.rendering import CAMERAS, Camera, mesh, tile_images
+from octoarm_env.rendering.camera import View, find_camera
+from octoarm_env.rendering.colours import BASE, SPRINGS, TARGET, strain_colours
+from octoarm_env.rendering.history import History
+from octoarm_env.rendering.renderer import Renderer
+from octoarm_env.rendering.toolkit import pygame
+
+PICTURES = Path(__file__).parent / "pictures"
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    """A display that nobody sees."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def make(**arguments):
+    return gym.make("OctoArm-v0", **{"render_mode": "rgb_array"} | arguments).unwrapped
+
+
+def play(env, steps, *, seed=3):
+    """Let the clock act; the last info."""
+    teacher = TeacherPolicy(env)
+    observation, info = env.reset(seed=seed)
+    for _ in range(steps):
+        observation, *_, info = env.step(teacher.predict(observation)[0])
+    return info
+
+
+def make_renderer(env, parameters=None, **arguments):
+    return Renderer(
+        parameters or ArmParameters(), env.orbit, env.action_range, "quadratic", **arguments
+    )
+
+
+class TestFrames:
+    def test_a_frame_is_an_array_of_its_own(self):
+        env = make(width=200, height=120)
+        env.reset(seed=0)
+        first, second = env.render(), env.render()
+        assert first.shape == (120, 200, 3)
+        assert first.dtype == np.uint8
+        assert np.array_equal(first, second)
+        assert not np.shares_memory(first, second)
+        assert first.flags.writeable
+        env.step(np.array([1.0, -1.0], np.float32))
+        assert np.array_equal(first, second)
+        assert not np.array_equal(first, env.render())
+
+    @pytest.mark.parametrize("target", LIMIT_CYCLES)
+    @pytest.mark.parametrize("overlay", [True, False])
+    def test_a_known_pose_gives_the_stored_frame(self, target, overlay):
+        """Within what other versions of pygame, SDL and FreeType may do to edges and letters.
+
+        Shapes are drawn with whole pixels and then shrunk by two, which other processors may round
+        by one level; text may be smoothed otherwise. So a thousandth of the pixels may differ by
+        any amount, with panels three hundredths; all others by two levels of 255. A step of the
+        arm, 10 ms, changes more.
+        """
+        env = make(target=target, width=320, height=240, overlay=overlay)
+        play(env, 60)
+        file = PICTURES / f"{target}{'_overlay' if overlay else ''}.png"
+        stored = pygame.surfarray.array3d(pygame.image.load(file)).swapaxes(0, 1)
+
+        def share_that_differs(frame):
+            difference = np.abs(frame.astype(int) - stored.astype(int)).max(axis=2)
+            return (difference > 2).mean()
+
+        allowed = 0.03 if overlay else 0.001
+        assert share_that_differs(env.render()) <= allowed
+        env.step(env.teacher_action())
+        assert share_that_differs(env.render()) > allowed
+
+    def test_motion_is_continuous(self):
+        """From step to step the arm moves on, nothing jumps, flickers or vanishes."""
+        env = make(target="lissajous", width=320, height=240, overlay=False)
+        env.reset(seed=0)
+        frames = []
+        for _ in range(40):
+            env.step(env.teacher_action())
+            frames.append(env.render().astype(int))
+        changed = [
+            (np.abs(now - before).max(axis=2) > 30).mean() for before, now in pairwise(frames)
+        ]
+        assert min(changed) > 0.0005
+        assert max(changed) < 0.02
+
+    def test_an_own_target_and_another_body(self):
+        turns = np.linspace(0, 2 * np.pi, 500, endpoint=False)
+        circle = 10 * np.stack((np.cos(turns), np.sin(turns)), axis=1)
+        env = make(target=circle, arm=ArmParameters(compartments=7), width=320, height=240)
+        env.reset(seed=0)
+        assert env.render().shape == (240, 320, 3)
+
+    @pytest.mark.parametrize("size", [(16, 16), (64, 48), (288, 216), (50, 400), (900, 60)])
+    def test_any_size(self, size):
+        env = make(width=size[0], height=size[1])
+        env.reset(seed=0)
+        assert env.render().shape == (size[1], size[0], 3)
+
+    def test_sixty_frames_a_second(self):
+        """At 640×480, with everything; measured are some 5 ms a frame, a third of the time."""
+        env = make()
+        play(env, 30)
+        env.render()
+        taken = []
+        for _ in range(30):
+            env.step(env.teacher_action())
+            begin = time.perf_counter()
+            env.render()
+            taken.append(time.perf_counter() - begin)
+        assert np.median(taken) < 1 / 60
+
+
+class TestContents:
+    def test_four_springs_two_marks(self):
+        """The colours that the figures explain are there, from a side where they can be seen."""
+        env = make(width=960, height=720)
+        env.reset(seed=1)
+        for _ in range(7):
+            env.step(env.teacher_action() * 0.5)
+        seen = set()
+        for camera in (Camera(azimuth=azimuth) for azimuth in (0.0, 90.0, 180.0, 270.0)):
+            renderer = make_renderer(env, size=(960, 720), camera=camera, overlay=False)
+            frame = renderer.frame(env.arm_joints, env._pictures._histories[0])
+            seen |= {tuple(colour) for colour in frame.reshape(-1, 3).tolist()}
+        assert seen >= {*SPRINGS, BASE, TARGET}
+
+    def test_strains(self):
+        colours = strain_colours(np.array([-0.5, -0.2, -0.05, 0.0, 0.05, 0.2, 0.5])).astype(int)
+        blue_to_red = colours[:, 0] - colours[:, 2]
+        assert np.all(np.diff(blue_to_red)[1:-1] > 0)
+        assert np.array_equal(colours[0], colours[1])
+        assert np.array_equal(colours[5], colours[6])
+
+    @pytest.mark.parametrize("camera", ["perspective", "front", "side", "top"])
+    @pytest.mark.parametrize("driven", ["clock", "random", "bang"])
+    def test_nothing_is_clipped(self, camera, driven):
+        """Arm, pointer and target stay inside the picture, and above the strains."""
+        env = make(camera=camera, target="lissajous")
+        env.reset(seed=0)
+        env.render()
+        renderer = next(iter(env._pictures._renderers.values()))
+        view, random = renderer._look(), np.random.default_rng(0)
+        path = renderer._path
+        width, height = renderer._canvas.get_size()
+        room = height - renderer._panels.bottom * renderer._fine
+        for step in range(200):
+            action = {
+                "clock": env.teacher_action(),
+                "random": random.uniform(-1, 1, 2),
+                "bang": np.sign([np.sin(0.1 * step), np.cos(0.1 * step)]),
+            }[driven]
+            env.step(action.astype(np.float32))
+            points = np.concatenate((mesh.skin(env.arm_joints).reshape(-1, 3), path))
+            pixels, _ = view.project(points)
+            assert pixels.min() >= 4
+            assert pixels[:, 0].max() <= width - 4
+            assert pixels[:, 1].max() <= room
+
+    @pytest.mark.parametrize(
+        "gravity", [(0.0, 0.0, 9.81), (0.0, 0.0, -9.81), (9.81, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    )
+    def test_whatever_hangs_stands_or_floats_is_seen(self, gravity):
+        parameters = ArmParameters(gravity=gravity, compartments=9)
+        env = make()
+        renderer = make_renderer(env, parameters, overlay=False)
+        length = 9 * parameters.rest_length
+        pixels, depth = renderer._look().project(np.array([[0, 0, 0], [0, 0, length]]))
+        width, height = renderer._canvas.get_size()
+        assert np.all((pixels > 0) & (pixels < (width, height)))
+        assert np.all(depth > 0)
+        if gravity[2]:
+            assert (pixels[1, 1] > pixels[0, 1]) == (gravity[2] > 0)
+
+    @pytest.mark.parametrize("size", [(288, 216), (320, 240), (640, 480), (480, 640), (1280, 720)])
+    def test_texts_are_inside_and_do_not_touch(self, size):
+        env = make(width=size[0], height=size[1])
+        play(env, 499)
+        env.render()
+        renderer = next(iter(env._pictures._renderers.values()))
+        panels, history = renderer._panels, env._pictures._histories[0]
+        assert panels.shown
+        labels = panels.draw(renderer._canvas, history, np.zeros((20, 4)))
+        labels += panels.figures(renderer._canvas, renderer._lines(history))
+        boxes = []
+        for text, x, y, _, points, anchor in labels:
+            font = panels._font(points)
+            wide, high = font.size(text)
+            left = x - {"left": 0.0, "middle": 0.5, "right": 1.0}[anchor] * wide
+            # Letters do not fill the whole height of their line.
+            box = pygame.Rect(round(left), round(y + 0.2 * high), wide, round(0.55 * high))
+            assert pygame.Rect(0, 0, *size).contains(box), text
+            assert box.collidelist(boxes) == -1, text
+            boxes.append(box)
+
+    def test_letters_are_in_the_font(self):
+        font = pygame.font.Font(None, 20)
+        missing = pygame.image.tobytes(font.render("\uffff", True, (255, 255, 255)), "RGBA")
+        for letter in "θφ°±−×":
+            drawn = pygame.image.tobytes(font.render(letter, True, (255, 255, 255)), "RGBA")
+            assert drawn != missing, letter
+
+    def test_the_end_is_said(self):
+        env = make()
+        info = play(env, 5)
+        history, renderer = env._pictures._histories[0], make_renderer(env)
+        assert not any("domain" in text for text, _ in renderer._lines(history))
+        history.add(info | {"failure": "height of compartment 1"}, 0.0)
+        assert any("left its domain" in text for text, _ in renderer._lines(history))
+
+    def test_an_exaggeration_is_said(self):
+        env = make()
+        env.reset(seed=0)
+        history = env._pictures._histories[0]
+        renderer = make_renderer(env, camera=Camera(exaggeration=3.0))
+        assert ("sideways ×3", (156, 190, 204)) in renderer._lines(history)
+
+
+class TestSimulation:
+    @pytest.mark.parametrize("mode", ["rgb_array", "human"])
+    def test_pictures_change_no_bit(self, mode):
+        seen = make(render_mode=mode, width=64, height=48)
+        unseen = make(render_mode=None)
+        random = np.random.default_rng(0)
+        for seed in (5, None):
+            one, other = seen.reset(seed=seed), unseen.reset(seed=seed)
+            assert np.array_equal(one[0], other[0])
+            for _ in range(30):
+                action = random.uniform(-1, 1, 2).astype(np.float32)
+                one, other = seen.step(action), unseen.step(action)
+                seen.render()
+                assert np.array_equal(one[0], other[0])
+                assert one[1:4] == other[1:4]
+                assert json.dumps(one[4], default=list) == json.dumps(other[4], default=list)
+        assert seen._core.save() == unseen._core.save()
+        seen.close()
+
+    def test_what_is_off_costs_nothing(self):
+        """Without a render mode nothing is kept; pygame is not even imported before a picture."""
+        assert make(render_mode=None)._pictures is None
+        assert OctoArmVectorEnv(2)._pictures is None
+        code = """
+import sys, gymnasium as gym, octoarm_env
+for mode in (None, "rgb_array"):
+    env = gym.make("OctoArm-v0", render_mode=mode)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    envs = gym.make_vec("OctoArm-v0", num_envs=2, render_mode=mode)
+    envs.reset(seed=0)
+    envs.step(envs.action_space.sample())
+assert "pygame" not in sys.modules
+env.render()
+assert "pygame" in sys.modules
+"""
+        result = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        )
+        assert result.returncode == 0, result.stderr
+        assert result.stdout == ""
+
+    def test_infos_may_be_changed_by_their_owner(self):
+        env = make(width=64, height=48, overlay=False)
+        _, info = env.reset(seed=0)
+        expected = env.render()
+        info["base_angles"][:] = 99.0
+        info["target"][:] = 99.0
+        assert np.array_equal(env.render(), expected)
+
+
+class TestGymnasium:
+    @pytest.mark.parametrize("mode", [None, *OctoArmEnv.metadata["render_modes"]])
+    def test_check_env(self, mode):
+        check_env(make(render_mode=mode, width=64, height=48))
+
+    def test_metadata(self):
+        assert make().metadata == {"render_modes": ["human", "rgb_array"], "render_fps": 100}
+        assert make(control_period=0.02).metadata["render_fps"] == 50
+        assert make(control_period=0.03).metadata["render_fps"] == pytest.approx(100 / 3)
+        assert OctoArmEnv.metadata["render_fps"] == 100
+        envs = OctoArmVectorEnv(2, control_period=0.02)
+        assert envs.metadata["render_modes"] == ["rgb_array"]
+        assert envs.metadata["render_fps"] == 50
+
+    def test_before_reset(self):
+        with pytest.raises(ResetNeeded, match="before reset"):
+            make().render()
+        with pytest.raises(ResetNeeded):
+            gym.make("OctoArm-v0", render_mode="rgb_array").render()
+        with pytest.raises(ResetNeeded, match="before reset"):
+            OctoArmVectorEnv(2, render_mode="rgb_array").render()
+
+    def test_without_a_mode(self):
+        env = make(render_mode=None)
+        env.reset(seed=0)
+        with pytest.warns(UserWarning, match="render_mode is None"):
+            assert env.render() is None
+
+    def test_after_the_end_and_after_close(self):
+        env = gym.make(
+            "OctoArm-v0", render_mode="rgb_array", width=64, height=48, max_episode_steps=3
+        )
+        env.reset(seed=0)
+        for _ in range(3):
+            *_, truncated, _ = env.step(np.zeros(2, np.float32))
+        assert truncated
+        last = env.render()
+        assert last.shape == (48, 64, 3)
+        env.close()
+        env.close()
+        assert np.array_equal(env.render(), last)
+
+    def test_after_leaving_the_domain(self):
+        """The last valid pose stays in the picture."""
+        # Twenty millimetres a step: no arm bears that.
+        env = make(arm=ArmParameters(), actuator="direct", action_range=90.0, width=320, height=240)
+        env.reset(seed=0)
+        sign, terminated = 1.0, False
+        for _ in range(50):
+            _, _, terminated, *_ = env.step(np.array([sign, sign], np.float32))
+            sign = -sign
+            if terminated:
+                break
+        assert terminated
+        assert env._pictures._histories[0].failure
+        assert env.render().shape == (240, 320, 3)
+
+    def test_human_again_after_close(self):
+        env = make(render_mode="human", width=64, height=48)
+        env.reset(seed=0)
+        assert env.render() is None
+        env.close()
+        assert not pygame.display.get_init()
+        assert env.render() is None
+        env.close()
+
+    def test_pickle_and_deepcopy(self):
+        env = make(width=320, height=240)
+        play(env, 20)
+        expected = env.render()
+        for twin in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+            assert np.array_equal(twin.render(), expected)
+            twin.step(np.zeros(2, np.float32))
+            assert not np.array_equal(twin.render(), expected)
+
+    def test_a_missing_extra_names_the_command(self, monkeypatch):
+        for name in ("toolkit", "renderer", "panels", "water", "window"):
+            monkeypatch.delitem(sys.modules, f"octoarm_env.rendering.{name}", raising=False)
+        monkeypatch.setitem(sys.modules, "pygame", None)
+        words = r"pip install 'octoarm-env\[render\]'"
+        env = OctoArmEnv(render_mode="rgb_array")
+        env.reset(seed=0)
+        with pytest.raises(DependencyNotInstalled, match=words):
+            env.render()
+        with pytest.raises(DependencyNotInstalled, match=words):
+            OctoArmEnv(render_mode="human").reset(seed=0)
+
+    def test_the_missing_toolkit_leaves_the_arm_alone(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "pygame", None)
+        env = make()
+        env.reset(seed=0)
+        env.step(np.zeros(2, np.float32))
+
+    def test_record_video(self, tmp_path):
+        import imageio_ffmpeg
+
+        env = gym.make(
+            "OctoArm-v0", render_mode="rgb_array", width=160, height=120, max_episode_steps=25
+        )
+        env = RecordVideo(
+            env, str(tmp_path / "films"), episode_trigger=lambda _: True, disable_logger=True
+        )
+        env.reset(seed=0)
+        truncated = False
+        while not truncated:
+            *_, truncated, _ = env.step(np.zeros(2, np.float32))
+        env.close()
+        (film,) = tmp_path.glob("films/*.mp4")
+        frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(film))
+        assert frames in (26, 27)  # moviepy may repeat the last one
+        assert seconds == pytest.approx(0.26, abs=0.02)
+
+    def test_record_video_of_a_batch(self, tmp_path):
+        envs = gym.make_vec(
+            "OctoArm-v0", num_envs=4, render_mode="rgb_array", width=160, height=120
+        )
+        envs = RecordVectorVideo(
+            envs,
+            str(tmp_path / "films"),
+            step_trigger=lambda step: step == 0,
+            video_length=5,
+            disable_logger=True,
+        )
+        envs.reset(seed=0)
+        for _ in range(8):
+            envs.step(np.zeros((4, 2), np.float32))
+        envs.close()
+        assert len(list(tmp_path.glob("films/*.mp4"))) == 1
+
+    def test_lists_and_human_wrappers(self):
+        env = gym.make("OctoArm-v0", render_mode="rgb_array_list", width=64, height=48)
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(np.zeros(2, np.float32))
+        frames = env.render()
+        assert [frame.shape for frame in frames] == [(48, 64, 3)] * 4
+        inner = gym.make("OctoArm-v0", render_mode="rgb_array", width=64, height=48)
+        collection = RenderCollection(inner)
+        collection.reset(seed=0)
+        assert len(collection.render()) == 1
+        shown = HumanRendering(inner)
+        shown.reset(seed=0)
+        shown.step(np.zeros(2, np.float32))
+        shown.close()
+
+    def test_pictures_as_observations(self):
+        env = gym.make("OctoArm-v0", render_mode="rgb_array", width=84, height=84, overlay=False)
+        env = AddRenderObservation(env)
+        observation, _ = env.reset(seed=0)
+        assert env.observation_space.contains(observation)
+        assert observation.shape == (84, 84, 3)
+
+
+class TestVectorEnv:
+    @pytest.mark.parametrize("mode", list(AutoresetMode))
+    def test_frames_are_those_of_single_environments(self, mode):
+        """To the bit, over ends of episodes."""
+        arguments = {"render_mode": "rgb_array", "width": 300, "height": 225}
+        native = gym.make_vec(
+            "OctoArm-v0",
+            num_envs=3,
+            max_episode_steps=6,
+            autoreset_mode=mode,
+            target=["quadratic", "lissajous", "quadratic"],
+            **arguments,
+        )
+        loop = gym.vector.SyncVectorEnv(
+            [
+                lambda target=target: gym.make(
+                    "OctoArm-v0", target=target, max_episode_steps=6, **arguments
+                )
+                for target in ("quadratic", "lissajous", "quadratic")
+            ],
+            autoreset_mode=mode,
+        )
+        native.reset(seed=0)
+        loop.reset(seed=0)
+        random = np.random.default_rng(0)
+        for _ in range(15):
+            actions = random.uniform(-1, 1, (3, 2)).astype(np.float32)
+            *_, terminated, truncated, _ = native.step(actions)
+            loop.step(actions)
+            for one, other in zip(native.render(), loop.render(), strict=True):
+                assert np.array_equal(one, other)
+            if mode == AutoresetMode.DISABLED and (terminated | truncated).any():
+                options = {"reset_mask": terminated | truncated}
+                native.reset(options=options)
+                loop.reset(options=dict(options))
+                for one, other in zip(native.render(), loop.render(), strict=True):
+                    assert np.array_equal(one, other)
+
+    def test_call(self):
+        envs = OctoArmVectorEnv(3, render_mode="rgb_array", width=64, height=48)
+        envs.reset(seed=0)
+        frames = envs.render()
+        assert isinstance(frames, tuple)
+        called = envs.call_at([2, 0], "render")
+        assert np.array_equal(called[0], frames[2])
+        assert np.array_equal(called[1], frames[0])
+
+    def test_more_arms_than_renderers_are_kept(self):
+        bodies = [ArmParameters(arm_density=1200.0 + 10 * index) for index in range(6)]
+        envs = OctoArmVectorEnv(6, arm=bodies, render_mode="rgb_array", width=64, height=48)
+        envs.reset(seed=0)
+        frames = envs.render()
+        assert len(envs._pictures._renderers) == 4
+        assert all(np.array_equal(a, b) for a, b in zip(frames, envs.render(), strict=True))
+        envs.close()
+
+    def test_snapshots_and_copies(self):
+        envs = OctoArmVectorEnv(2, render_mode="rgb_array", width=320, height=240)
+        envs.reset(seed=0)
+        zeros = np.zeros((2, 2), np.float32)
+        for _ in range(5):
+            envs.step(zeros)
+        snapshot, frames = envs.snapshot(), envs.render()
+        for twin in (pickle.loads(pickle.dumps(envs)), copy.deepcopy(envs)):
+            assert all(np.array_equal(a, b) for a, b in zip(frames, twin.render(), strict=True))
+        envs.step(zeros)
+        envs.restore(snapshot)
+        # What was before the snapshot is not in it: base, target and arm are there.
+        history = envs._pictures._histories[1]
+        assert history.steps == 0
+        assert len(history.trace) == 1
+        twin = OctoArmVectorEnv(2, render_mode=None)
+        twin.reset(seed=0)
+        for _ in range(5):
+            *_, infos = twin.step(zeros)
+        assert np.array_equal(history.trace[0], infos["base_angles"][1])
+        assert np.array_equal(history.target, infos["target"][1])
+        assert history.tracking_error == infos["tracking_error"][1]
+        assert len(envs.render()) == 2
+
+    def test_without_a_mode(self):
+        envs = OctoArmVectorEnv(2)
+        envs.reset(seed=0)
+        with pytest.warns(UserWarning, match="render_mode is None"):
+            assert envs.render() is None
+
+
+class TestTiles:
+    def test_they_lie_row_by_row(self):
+        images = [np.full((2, 3, 3), index + 1, np.uint8) for index in range(5)]
+        whole = tile_images(images, columns=2, gap=1)
+        assert whole.shape == (3 * 2 + 2, 2 * 3 + 1, 3)
+        assert np.array_equal(whole[:2, 4:], images[1])
+        assert np.array_equal(whole[6:, :3], images[4])
+        assert not whole[6:, 3:].any()
+        assert not whole[2].any()
+
+    def test_nearly_square(self):
+        images = [np.zeros((48, 64, 3), np.uint8)] * 16
+        height, width, _ = tile_images(images).shape
+        assert 0.6 < width / height < 1.7
+
+    @pytest.mark.parametrize(
+        ("images", "arguments", "kind", "words"),
+        [
+            ([], {}, ValueError, "images is empty"),
+            ([np.zeros((2, 2, 3))], {}, TypeError, r"images\[0\] is float64"),
+            ([np.zeros((2, 2), np.uint8)], {}, TypeError, r"images\[0\]"),
+            (
+                [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 3, 3), np.uint8)],
+                {},
+                ValueError,
+                r"images\[1\] has shape \(2, 3, 3\)",
+            ),
+            ([np.zeros((2, 2, 3), np.uint8)], {"columns": 0}, ValueError, "columns = 0"),
+            ([np.zeros((2, 2, 3), np.uint8)], {"gap": -1}, ValueError, "gap = -1"),
+        ],
+    )
+    def test_what_cannot_be_is_refused(self, images, arguments, kind, words):
+        with pytest.raises(kind, match=words):
+            tile_images(images, **arguments)
+
+
+class TestCamera:
+    @pytest.mark.parametrize(
+        ("arguments", "kind", "words"),
+        [
+            ({"elevation": 90.0}, ValueError, r"camera.elevation = 90.0.*\[-89, 89\]"),
+            ({"azimuth": np.nan}, ValueError, "camera.azimuth = nan.*finite"),
+            ({"zoom": 0.0}, ValueError, r"camera.zoom = 0.0.*\[0.2, 20\]"),
+            ({"focus": "tip"}, TypeError, "camera.focus = 'tip'"),
+            ({"exaggeration": 0.5}, ValueError, "camera.exaggeration = 0.5"),
+        ],
+    )
+    def test_bad_cameras_are_refused(self, arguments, kind, words):
+        with pytest.raises(kind, match=words):
+            Camera(**arguments)
+
+    def test_by_name(self):
+        assert find_camera("top") is CAMERAS["top"]
+        assert find_camera(None) == Camera()
+
+    def test_it_stays_in_its_range(self):
+        assert Camera().orbited(0.0, 300.0).elevation == 89.0
+        assert Camera(azimuth=170.0).orbited(20.0, 0.0).azimuth == -170.0
+        assert Camera().zoomed(1e9).zoom == 20.0
+
+    def test_where_the_axes_run(self):
+        env = make()
+        x, y, z = np.eye(3) * 0.05
+
+        def way(camera, direction):
+            view = View(CAMERAS[camera], make_renderer(env)._stage, (640, 480))
+            pixels, _ = view.project(np.stack((np.zeros(3), direction)))
+            return pixels[1] - pixels[0]
+
+        assert way("front", x)[0] > 20
+        assert abs(way("front", x)[1]) < 1
+        assert way("side", y)[0] > 20
+        assert way("top", x)[0] > 20
+        for camera in ("front", "side", "perspective"):
+            assert way(camera, z)[1] > 20  # it hangs
+
+    def test_nearer_is_larger(self):
+        env = make()
+        view = View(Camera(), make_renderer(env)._stage, (640, 480))
+        near, far = view.back * 0.1, -view.back * 0.1
+        assert view.size_at(0.01, near) > view.size_at(0.01, far)
+        pixels, depth = view.project(np.stack((near, far)))
+        assert depth[0] < depth[1]
+        wide = view.project(near + 0.01 * view.right)[0] - pixels[0]
+        assert wide[0] == pytest.approx(view.size_at(0.01, near))
+
+    @pytest.mark.parametrize("azimuth", [0.0, 60.0, 200.0])
+    @pytest.mark.parametrize("lean", [(1.0, 0.0), (0.0, 1.0), (-0.5, 0.3), (0.0, 0.0)])
+    def test_the_arm_leans_where_it_is_dragged(self, azimuth, lean):
+        env = make()
+        renderer = make_renderer(env, camera=Camera(azimuth=azimuth))
+        angles = renderer.tilt_towards(*lean)
+        assert np.abs(angles).max() == pytest.approx(env.action_range * np.hypot(*lean))
+        theta, phi = np.radians(angles)
+        normal = np.array([np.sin(phi), -np.sin(theta) * np.cos(phi), 0.0])
+        view = renderer._look()
+        up = np.array([0.0, 0.0, -1.0])
+        away = -view.back + (view.back @ up) * up
+        seen = np.array([normal @ view.right, normal @ away / np.linalg.norm(away)])
+        if np.hypot(*lean):
+            # sin θ cos φ is not sin θ: 26 degrees turn the direction by up to 3.
+            cosine = seen @ lean / np.linalg.norm(seen) / np.hypot(*lean)
+            assert cosine > np.cos(np.radians(3.5))
+
+
+class TestMesh:
+    @pytest.fixture
+    def env(self):
+        env = make()
+        env.reset(seed=0)
+        for step in range(60):
+            env.step(np.array([np.sin(step), np.cos(0.7 * step)], np.float32))
+        return env
+
+    def test_centres(self, env):
+        np.testing.assert_allclose(mesh.centres(env.arm_joints), env.arm_positions, atol=1e-15)
+
+    def test_the_skin_goes_through_the_joints(self, env):
+        rings = mesh.skin(env.arm_joints)
+        assert rings.shape == (24, mesh.SIDES, 3)
+        np.testing.assert_allclose(
+            rings[:21, :: mesh.SIDES // 4], env.arm_joints, rtol=0, atol=1e-15
+        )
+
+    def test_facets_look_outwards(self, env):
+        rings = mesh.skin(env.arm_joints)
+        corners, normals = mesh.facets(rings)
+        assert corners.shape == (23 * mesh.SIDES, 4, 3)
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+        along = rings.mean(axis=1)
+        middles = np.repeat(0.5 * (along[:-1] + along[1:]), mesh.SIDES, axis=0)
+        assert np.all(((corners.mean(axis=1) - middles) * normals).sum(axis=1) > 0)
+
+    def test_exaggeration_moves_sideways_alone(self, env):
+        up = np.array([0.0, 0.0, -1.0])
+        joints = env.arm_joints
+        assert mesh.exaggerate(joints, up, 1.0) is joints
+        moved = mesh.exaggerate(joints, up, 3.0)
+        centres = mesh.centres(joints)
+        expected = centres * [3.0, 3.0, 1.0]
+        np.testing.assert_allclose(mesh.centres(moved), expected, atol=1e-14)
+        np.testing.assert_allclose(
+            moved - mesh.centres(moved)[:, None], joints - centres[:, None], atol=1e-14
+        )
+
+    def test_light_comes_from_above(self):
+        up, back, water = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.zeros(3)
+        colours = np.full((2, 3), 200.0)
+        top, bottom = mesh.lit(colours, np.stack((up, -up)), up, back, water)
+        assert top.min() > bottom.max()
+        assert np.all(mesh.lit(colours, np.stack((up, back)), up, back, water) <= 255)
+
+
+class TestHistory:
+    def test_it_keeps_two_seconds(self):
+        history = History(0.01)
+        assert not history.began
+        info = {"base_angles": np.zeros(2), "target": np.ones(2), "tracking_error": 1.5}
+        history.begin(info)
+        for step in range(300):
+            history.add(info | {"base_angles": np.full(2, step + 1.0)}, 0.5)
+        assert history.trace.shape == (200, 2)
+        assert history.trace[-1, 0] == 300.0
+        assert (history.steps, history.total, history.reward) == (300, 150.0, 0.5)
+        assert history.time == pytest.approx(3.0)
+        history.begin(info)
+        assert (history.steps, history.total, history.reward) == (0, 0.0, None)
+        assert len(history.trace) == 1
+
+
+def test_a_camera_as_an_argument():
+    near = make(camera=replace(CAMERAS["base"], zoom=6.0), width=160, height=120)
+    far = make(camera="perspective", width=160, height=120)
+    near.reset(seed=0)
+    far.reset(seed=0)
+    assert not np.array_equal(near.render(), far.render())
