@@ -209,8 +209,7 @@ class TestContents:
         labels += panels.figures(renderer._canvas, renderer._lines(history))
         boxes = []
         for text, x, y, _, points, anchor in labels:
-            font = panels._font(points)
-            wide, high = font.size(text)
+            wide, high = panels._letters(text, (255, 255, 255), points).get_size()
             left = x - {"left": 0.0, "middle": 0.5, "right": 1.0}[anchor] * wide
             # Letters do not fill the whole height of their line.
             box = pygame.Rect(round(left), round(y + 0.2 * high), wide, round(0.55 * high))

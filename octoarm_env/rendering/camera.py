@@ -179,8 +179,9 @@ class View:
         half = math.tan(math.radians(_FIELD_OF_VIEW / 2))
         width, height = size[0], max(size[1] - bottom, 1.0)
         narrow = min(1.0, width / height)
-        self.distance = stage.radius / math.sin(math.atan(half * narrow)) / camera.zoom
-        self.scale = 0.5 * height / half
+        self.distance = stage.radius / math.sin(math.atan(half * narrow))
+        # The lens zooms, the camera stays: nothing that is drawn is ever behind it.
+        self.scale = 0.5 * height / half * camera.zoom
         self.middle = np.array([0.5 * width, 0.5 * height])
         self.origin = stage.at(camera.focus) + self.distance * self.back
         """Where the camera is, (3,) [m]."""

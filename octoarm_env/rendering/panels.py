@@ -80,6 +80,7 @@ class Panels:
         self._orbit = np.concatenate((orbit[::step], orbit[:1]))
         self._fonts: dict[int, pygame.font.Font] = {}
         self._shades: dict[tuple[int, int], pygame.Surface] = {}
+        self._texts: dict[tuple[str, Colour, int], pygame.Surface] = {}
 
     def draw(self, canvas: pygame.Surface, history: History, strains: Float) -> list[Label]:
         """Draw the shapes, and give the texts for :meth:`write`.
@@ -96,13 +97,13 @@ class Panels:
     def write(self, picture: pygame.Surface, labels: list[Label]) -> None:
         """Write texts onto the finished picture."""
         for text, x, y, colour, size, anchor in labels:
-            image = self._font(size).render(text, True, colour)
+            image = self._letters(text, colour, size)
             shift = {"left": 0.0, "middle": 0.5, "right": 1.0}[anchor] * image.get_width()
             picture.blit(image, (round(x - shift), round(y)))
 
     def width(self, text: str, size: int = 15) -> float:
         """Give how wide a text is [pixels]."""
-        return self._font(size).size(text)[0]
+        return self._font(size).size(text)[0] / 2
 
     def figures(self, canvas: pygame.Surface, lines: list[tuple[str, Colour]]) -> list[Label]:
         """Draw the panel at the top left for lines of text."""
@@ -118,12 +119,23 @@ class Panels:
         ]
 
     def _font(self, size: int) -> pygame.font.Font:
+        """Give letters of twice their size: shrunk they stand evenly, small ones do not."""
         pixels = max(9, round(size * self.unit))
         if pixels not in self._fonts:
             if not pygame.font.get_init():
                 pygame.font.init()
-            self._fonts[pixels] = pygame.font.Font(None, round(1.3 * pixels))
+            self._fonts[pixels] = pygame.font.Font(None, round(2.6 * pixels))
         return self._fonts[pixels]
+
+    def _letters(self, text: str, colour: Colour, size: int) -> pygame.Surface:
+        key = (text, colour, size)
+        if key not in self._texts:
+            if len(self._texts) > 200:
+                self._texts.clear()
+            large = self._font(size).render(text, True, colour)
+            half = (-(-large.get_width() // 2), -(-large.get_height() // 2))
+            self._texts[key] = pygame.transform.smoothscale(large, half)
+        return self._texts[key]
 
     def _panel(self, canvas: pygame.Surface, x: float, y: float, wide: float, high: float) -> None:
         fine = self._fine

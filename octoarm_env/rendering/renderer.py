@@ -29,6 +29,8 @@ _POINTER = 0.2
 """Length of the base's pointer as a share of the arm's."""
 _PLATE = (1.55, 0.5)
 """Radius and thickness of the plate as shares of the arm's base radius."""
+_TRACE_PIECES = 100
+"""How finely the pointer's past is drawn."""
 _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""
 
@@ -238,7 +240,7 @@ class Renderer:
         """The plate that leans, its pointer, the ring that does not, the curve to be followed."""
         radius = self._parameters.base_radius
         trace = history.trace
-        trace = trace[:: -max(1, len(trace) // 60)][::-1]
+        trace = trace[:: -max(1, len(trace) // _TRACE_PIECES)][::-1]
         points = self._pointed(trace)
         normal = -points[-1] / self._pointer
         wide, thick = radius * _PLATE[0], radius * _PLATE[1]
@@ -259,15 +261,21 @@ class Renderer:
         items += self._line(view, self._path, [ORBIT] * (len(self._path) - 1), fine)
         shares = np.linspace(0.35, 1.0, max(len(points) - 1, 1))
         shades = [tuple(round(share * part) for part in BASE) for share in shares]
-        # Before the curve where it lies on it.
-        towards = points + 0.1 * radius * view.back
-        return items + self._line(view, towards, shades[: len(points) - 1], 2 * fine)
+        # Before the curve where it lies on it, the newest last.
+        nearer = radius * (1.0 + shares)[: len(points) - 1]
+        return items + self._line(view, points, shades[: len(points) - 1], 2 * fine, nearer)
 
     def _line(
-        self, view: View, points: Float, colours: list[Any], wide: int
+        self,
+        view: View,
+        points: Float,
+        colours: list[Any],
+        wide: int,
+        nearer: Float | float = 0.0,
     ) -> list[tuple[Any, ...]]:
+        """A line piece by piece, each drawn as if it were so many metres nearer."""
         pixels, depth = view.project(points)
-        depths = (-0.5 * (depth[:-1] + depth[1:])).tolist()
+        depths = (nearer - 0.5 * (depth[:-1] + depth[1:])).tolist()
         corners = pixels.tolist()
         return [
             (d, c, pair, wide)

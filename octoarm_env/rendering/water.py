@@ -50,7 +50,7 @@ def _draw_seabed(surface: pygame.Surface, view: View, stage: Stage) -> None:
     middle = stage.at(0.5)
     middle = middle - (middle @ stage.up - stage.floor) * stage.up
     along, across = _level(stage.up)
-    reach = 3.2 * stage.radius
+    reach = 2.7 * stage.radius
     angles = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     circle = np.outer(np.cos(angles), along) + np.outer(np.sin(angles), across)
     behind = middle - reach * 0.98 * view.back
