@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_env import _core
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.camera import Camera
+from octoarm_env.rendering.history import History
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
 from octoarm_env.settings import episode_settings, phase_option
 from octoarm_env.targets import TargetName
@@ -153,8 +154,8 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
-        pictures = Pictures([settings], render_mode, modes, width, height, camera, overlay)
-        self._pictures = pictures if pictures.wanted else None
+        self._pictures = Pictures([settings], render_mode, modes, width, height, camera, overlay)
+        self._history = None if render_mode is None else History(control_period)
         self._seeded = False
         low, high = self._core.observation_bounds
         count = self._core.observation_len
@@ -184,9 +185,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True
         observation, info = self._core.reset(phase)
-        if self._pictures is not None:
-            self._pictures.begin(0, info)
-            self._show()
+        if self._history is not None:
+            self._history.begin(info)
+            self._show(self._history)
         return observation, info
 
     def step(
@@ -205,9 +206,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
                 before `reset` or after the end of the episode; nothing is changed then.
         """
         observation, reward, terminated, info = self._core.step(action)
-        if self._pictures is not None:
-            self._pictures.add(0, info, reward)
-            self._show()
+        if self._history is not None:
+            self._history.add(info, reward)
+            self._show(self._history)
         return observation, reward, terminated, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -220,18 +221,17 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             gymnasium.error.ResetNeeded: no episode has begun.
             gymnasium.error.DependencyNotInstalled: pygame-ce is not installed.
         """
-        if self._pictures is None:
+        if self._history is None:
             warn_without_mode()
             return None
         if self.render_mode == "human":
-            self._show(again=True)
+            self._show(self._history, again=True)
             return None
-        return self._pictures.frame(0, self._subject)
+        return self._pictures.frame(0, self._history, self._subject)
 
     def close(self) -> None:
         """Close the window, if there is one; the arm could go on."""
-        if self._pictures is not None:
-            self._pictures.close()
+        self._pictures.close()
 
     def teacher_action(self) -> Float:
         """Give the lead-compensated clock's action now, (2,); it depends on the time alone."""
@@ -271,9 +271,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     def _subject(self) -> Subject:
         return Subject(self._core.joints, self._core.orbit, self._core.action_range)
 
-    def _show(self, *, again: bool = False) -> None:
-        if self._pictures is not None and self.render_mode == "human":
-            self._pictures.show(self._subject, again=again)
+    def _show(self, history: History, *, again: bool = False) -> None:
+        if self.render_mode == "human":
+            self._pictures.show(history, self._subject, again=again)
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

@@ -19,6 +19,7 @@ from octoarm_env import _core
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.camera import Camera
+from octoarm_env.rendering.history import BatchHistory
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
 from octoarm_env.settings import episode_settings, phase_option
 from octoarm_env.targets import TargetName
@@ -141,8 +142,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self._core = _core.EpisodeBatch(*self._arguments)
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
-        pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
-        self._pictures = pictures if pictures.wanted else None
+        self._pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
+        self._history: BatchHistory | None = None
+        if render_mode is not None:
+            self._history = BatchHistory(control_period, self.num_envs)
         self._mode, self._over = mode, np.zeros(self.num_envs, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._attributes: dict[str, list[Any]] = {}
@@ -194,10 +197,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         for index, given in enumerate(seeds):
             if given is not None and (mask is None or mask[index]):
                 self._seeds[index] = given
-        if self._pictures is not None:
-            for index in range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist():
-                self._over[index] = False
-                self._pictures.begin(index, _row(result[1], index))
+        if self._history is not None:
+            begun = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+            self._history.begin(begun, result[1])
+            self._over = self._over & ~begun
         return result
 
     def step(
@@ -219,8 +222,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
                 episode; nothing is changed then.
         """
         result = self._core.step(actions)
-        if self._pictures is not None:
-            self._keep(*result[1:])
+        if self._history is not None:
+            self._keep(self._history, *result[1:])
         return result
 
     def snapshot(self) -> VectorSnapshot:
@@ -239,11 +242,10 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             raise TypeError(f"snapshot must be a VectorSnapshot, not {kind}")
         self._core.load(snapshot.episodes)
         self._seeds = list(snapshot.seeds)
-        if self._pictures is not None:
-            infos = self._core.infos()
-            for index in range(self.num_envs):
-                self._pictures.begin(index, _row(infos, index))
-            self._over[:] = False
+        if self._history is not None:
+            every = np.ones(self.num_envs, dtype=np.bool_)
+            self._history.begin(every, self._core.infos())
+            self._over = ~every
 
     def teacher_actions(self) -> Float:
         """Give the lead-compensated clocks' actions now, (N, 2); they depend on the time alone."""
@@ -272,10 +274,11 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     ) -> tuple[Any, ...]:
         """Do as :meth:`call` for some of the environments."""
         if name == "render":
-            if self._pictures is None:
+            history = self._history
+            if history is None:
                 warn_without_mode()
                 return tuple(None for _ in indices)
-            return tuple(self._frame(index) for index in indices)
+            return tuple(self._frame(history, index) for index in indices)
         if name == "teacher_action":
             actions = self._core.teacher_actions()
             return tuple(actions[index].copy() for index in indices)
@@ -341,43 +344,39 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as
                 :meth:`octoarm_env.OctoArmEnv.render`.
         """
-        if self._pictures is None:
+        history = self._history
+        if history is None:
             warn_without_mode()
             return None
-        return tuple(self._frame(index) for index in range(self.num_envs))
+        return tuple(self._frame(history, index) for index in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of what drew."""
-        if self._pictures is not None:
-            self._pictures.close()
+        self._pictures.close()
 
-    def _frame(self, index: int) -> NDArray[np.uint8]:
-        if self._pictures is None:
-            raise RuntimeError("there is no render mode")
+    def _frame(self, history: BatchHistory, index: int) -> NDArray[np.uint8]:
         core = self._core
         subject = Subject(
             core.joints(index), core.orbit_tables[index], core.action_ranges[index].item()
         )
-        return self._pictures.frame(index, subject)
+        return self._pictures.frame(index, history.of(index), subject)
 
     def _keep(
-        self, rewards: Float, terminated: Flags, truncated: Flags, infos: dict[str, Any]
+        self,
+        history: BatchHistory,
+        rewards: Float,
+        terminated: Flags,
+        truncated: Flags,
+        infos: dict[str, Any],
     ) -> None:
         """Keep what the pictures show of a step."""
-        if self._pictures is None:
-            return
         over = terminated | truncated
         begun = {
             AutoresetMode.NEXT_STEP: self._over,
             AutoresetMode.SAME_STEP: over,
             AutoresetMode.DISABLED: np.zeros_like(over),
         }[self._mode]
-        for index in range(self.num_envs):
-            info = _row(infos, index)
-            if begun[index]:
-                self._pictures.begin(index, info)
-            else:
-                self._pictures.add(index, info, rewards[index].item())
+        history.add(infos, rewards, begun)
         self._over = over
 
     def _mask(self, options: dict[str, Any] | None) -> Flags | None:
@@ -415,14 +414,6 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self.__dict__.update(state)
         self._core = _core.EpisodeBatch(*self._arguments)
         self._core.load(state["_core"])
-
-
-def _row(infos: dict[str, Any], index: int) -> dict[str, Any]:
-    """Give what a picture needs of an environment's info."""
-    info = {name: infos[name][index] for name in ("base_angles", "target", "tracking_error")}
-    if "failure" in infos and infos["_failure"][index]:
-        info["failure"] = infos["failure"][index]
-    return info
 
 
 def _integer(name: str, value: Any, wanted: str, least: int) -> int:

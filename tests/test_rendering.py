@@ -146,7 +146,7 @@ class TestContents:
         seen = set()
         for camera in (Camera(azimuth=azimuth) for azimuth in (0.0, 90.0, 180.0, 270.0)):
             renderer = make_renderer(env, size=(960, 720), camera=camera, overlay=False)
-            frame = renderer.frame(env.arm_joints, env._pictures._histories[0])
+            frame = renderer.frame(env.arm_joints, env._history)
             seen |= {tuple(colour) for colour in frame.reshape(-1, 3).tolist()}
         assert seen >= {*SPRINGS, BASE, TARGET}
 
@@ -166,7 +166,7 @@ class TestContents:
         env.render()
         renderer = next(iter(env._pictures._renderers.values()))
         view, random = renderer._look(), np.random.default_rng(0)
-        path = renderer._path
+        path = renderer._body.path
         width, height = renderer._canvas.get_size()
         room = height - renderer._panels.bottom * renderer._fine
         for step in range(200):
@@ -203,7 +203,7 @@ class TestContents:
         play(env, 499)
         env.render()
         renderer = next(iter(env._pictures._renderers.values()))
-        panels, history = renderer._panels, env._pictures._histories[0]
+        panels, history = renderer._panels, env._history
         assert panels.shown
         labels = panels.draw(renderer._canvas, history, np.zeros((20, 4)))
         labels += panels.figures(renderer._canvas, renderer._lines(history))
@@ -227,7 +227,7 @@ class TestContents:
     def test_the_end_is_said(self):
         env = make()
         info = play(env, 5)
-        history, renderer = env._pictures._histories[0], make_renderer(env)
+        history, renderer = env._history, make_renderer(env)
         assert not any("domain" in text for text, _ in renderer._lines(history))
         history.add(info | {"failure": "height of compartment 1"}, 0.0)
         assert any("left its domain" in text for text, _ in renderer._lines(history))
@@ -235,7 +235,7 @@ class TestContents:
     def test_an_exaggeration_is_said(self):
         env = make()
         env.reset(seed=0)
-        history = env._pictures._histories[0]
+        history = env._history
         renderer = make_renderer(env, camera=Camera(exaggeration=3.0))
         assert ("sideways ×3", (156, 190, 204)) in renderer._lines(history)
 
@@ -261,8 +261,8 @@ class TestSimulation:
 
     def test_what_is_off_costs_nothing(self):
         """Without a render mode nothing is kept; pygame is not even imported before a picture."""
-        assert make(render_mode=None)._pictures is None
-        assert OctoArmVectorEnv(2)._pictures is None
+        assert make(render_mode=None)._history is None
+        assert OctoArmVectorEnv(2)._history is None
         code = """
 import sys, gymnasium as gym, octoarm_env
 for mode in (None, "rgb_array"):
@@ -345,7 +345,7 @@ class TestGymnasium:
             if terminated:
                 break
         assert terminated
-        assert env._pictures._histories[0].failure
+        assert env._history.failure
         assert env.render().shape == (240, 320, 3)
 
     def test_human_again_after_close(self):
@@ -355,6 +355,29 @@ class TestGymnasium:
         env.close()
         assert not pygame.display.get_init()
         assert env.render() is None
+        env.close()
+
+    def test_others_may_quit_pygame(self):
+        """As Gymnasium's own environments do when they are closed."""
+        env = make(width=320, height=240)
+        env.reset(seed=0)
+        expected = env.render()
+        other = gym.make("CartPole-v1", render_mode="rgb_array")
+        other.reset(seed=0)
+        other.render()
+        other.close()
+        assert np.array_equal(env.render(), expected)
+        pygame.quit()
+        pygame.font.init()
+        env.step(np.ones(2, np.float32))
+        env.render()
+
+    def test_a_window_comes_back_after_others_quit_pygame(self):
+        env = make(render_mode="human", width=64, height=48)
+        env.reset(seed=0)
+        pygame.quit()
+        env.step(np.zeros(2, np.float32))
+        assert pygame.display.get_init()
         env.close()
 
     def test_pickle_and_deepcopy(self):
@@ -512,7 +535,7 @@ class TestVectorEnv:
         envs.step(zeros)
         envs.restore(snapshot)
         # What was before the snapshot is not in it: base, target and arm are there.
-        history = envs._pictures._histories[1]
+        history = envs._history.of(1)
         assert history.steps == 0
         assert len(history.trace) == 1
         twin = OctoArmVectorEnv(2, render_mode=None)
@@ -694,10 +717,10 @@ class TestHistory:
             history.add(info | {"base_angles": np.full(2, step + 1.0)}, 0.5)
         assert history.trace.shape == (200, 2)
         assert history.trace[-1, 0] == 300.0
-        assert (history.steps, history.total, history.reward) == (300, 150.0, 0.5)
+        assert (history.steps, history.total) == (300, 150.0)
         assert history.time == pytest.approx(3.0)
         history.begin(info)
-        assert (history.steps, history.total, history.reward) == (0, 0.0, None)
+        assert (history.steps, history.total) == (0, 0.0)
         assert len(history.trace) == 1
 
 

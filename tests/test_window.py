@@ -227,10 +227,20 @@ def test_a_closed_window_waits_no_more(make_window, arm, end):
     window.hold(*arm)
 
 
-def test_the_end_is_held_until_a_key(make_window, arm):
-    window = make_window()
-    press(pygame.K_SPACE)
+def test_the_end_is_held_until_a_key(make_window, arm, monkeypatch):
+    window, frames = make_window(), []
+
+    def sleep(_):
+        frames.append(window.renderer.camera.azimuth)
+        if len(frames) == 3:
+            drag(1, (10, 0))
+        if len(frames) == 6:
+            press(pygame.K_SPACE)
+
+    monkeypatch.setattr("octoarm_env.rendering.window.time.sleep", sleep)
     window.hold(*arm)
+    assert frames == [60.0] * 3 + [64.0] * 3
+    assert window.renderer.notes == ("the end; any key closes",)
     assert not window.closed
 
 

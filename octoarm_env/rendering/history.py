@@ -9,23 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LATE", "History"]
+__all__ = ["LATE", "BatchHistory", "History"]
 
 Float = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 LATE = 2.0
 """How much of the past is drawn [s]."""
 
 
+def _length(control_period: float) -> int:
+    return max(2, round(LATE / control_period))
+
+
 class History:
-    """The past of an episode, kept from step to step.
+    """The past of an episode.
 
     Args:
         control_period: seconds of a step.
 
     Attributes:
         steps: made in this episode.
-        reward: of the last step; None before the first.
         total: sum of the rewards.
         target: θ and φ of the target now [degrees].
         tracking_error: distance of the base from it now [degrees].
@@ -34,9 +38,8 @@ class History:
 
     def __init__(self, control_period: float) -> None:
         self.control_period = control_period
-        self._trace: deque[Float] = deque(maxlen=max(2, round(LATE / control_period)))
+        self._trace: deque[Float] = deque(maxlen=_length(control_period))
         self.steps, self.total = 0, 0.0
-        self.reward: float | None = None
         self.target: Float = np.zeros(2)
         self.tracking_error = 0.0
         self.failure = ""
@@ -59,14 +62,13 @@ class History:
     def begin(self, info: Mapping[str, Any]) -> None:
         """Forget all: an episode has begun with this info."""
         self._trace.clear()
-        self.steps, self.total, self.reward, self.failure = 0, 0.0, None, ""
+        self.steps, self.total, self.failure = 0, 0.0, ""
         self._see(info)
 
     def add(self, info: Mapping[str, Any], reward: float) -> None:
         """A step brought this info and reward."""
         self.steps += 1
-        self.reward = float(reward)
-        self.total += self.reward
+        self.total += float(reward)
         self.failure = str(info.get("failure", ""))
         self._see(info)
 
@@ -74,3 +76,61 @@ class History:
         # Copies: an info belongs to the caller.
         self._trace.append(info["base_angles"].copy())
         self.target, self.tracking_error = info["target"].copy(), float(info["tracking_error"])
+
+
+class BatchHistory:
+    """The pasts of episodes side by side, kept for little until one of them is asked for.
+
+    Args:
+        control_period: seconds of a step.
+        count: number of environments N.
+    """
+
+    def __init__(self, control_period: float, count: int) -> None:
+        self._period = control_period
+        self._bases: deque[Float] = deque(maxlen=_length(control_period))
+        self._steps, self._totals = np.zeros(count, dtype=np.int64), np.zeros(count)
+        self._targets, self._errors = np.zeros((count, 2)), np.zeros(count)
+        self._began = np.zeros(count, dtype=np.bool_)
+        self._failures: dict[int, str] = {}
+
+    def begin(self, mask: Flags, infos: Mapping[str, Any]) -> None:
+        """Episodes have begun with these infos, where the mask (N,) is True."""
+        bases = self._bases.pop() if self._bases else np.zeros_like(self._targets)
+        self._bases.append(np.where(mask[:, np.newaxis], infos["base_angles"], bases))
+        self._targets = np.where(mask[:, np.newaxis], infos["target"], self._targets)
+        self._errors = np.where(mask, infos["tracking_error"], self._errors)
+        self._forget(mask)
+        self._began = self._began | mask
+
+    def add(self, infos: Mapping[str, Any], rewards: Float, begun: Flags) -> None:
+        """A step brought these infos and rewards; where `begun` is True it began an episode."""
+        self._bases.append(infos["base_angles"].copy())
+        self._targets, self._errors = infos["target"].copy(), infos["tracking_error"].copy()
+        self._steps += 1
+        self._totals += rewards
+        if begun.any():
+            self._forget(begun)
+        if "failure" in infos:
+            for index in np.flatnonzero(infos["_failure"]).tolist():
+                self._failures[index] = str(infos["failure"][index])
+
+    def of(self, index: int) -> History:
+        """Give the past of one environment."""
+        history = History(self._period)
+        if not self._began[index]:
+            return history
+        history.steps = int(self._steps[index])
+        history.total = float(self._totals[index])
+        history.target = self._targets[index].copy()
+        history.tracking_error = float(self._errors[index])
+        history.failure = self._failures.get(index, "")
+        late = min(history.steps + 1, len(self._bases))
+        for age in range(late - 1, -1, -1):
+            history._trace.append(self._bases[-1 - age][index].copy())
+        return history
+
+    def _forget(self, mask: Flags) -> None:
+        self._steps[mask], self._totals[mask] = 0, 0.0
+        for index in [index for index in self._failures if mask[index]]:
+            del self._failures[index]

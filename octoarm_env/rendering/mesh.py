@@ -61,7 +61,7 @@ def skin(joints: Float) -> Float:
         "ks,nsd->nkd", _WEIGHTS, joints - middles[:, np.newaxis]
     )
     last, middle = rings[-1], middles[-1]
-    normal = np.cross(joints[-1, 0] - middle, joints[-1, 1] - middle)
+    normal = _cross(joints[-1, 0] - middle, joints[-1, 1] - middle)
     normal /= np.linalg.norm(normal)
     radius = np.linalg.norm(last - middle, axis=1).mean()
     cap = [
@@ -75,19 +75,26 @@ def tube(begin: Float, end: Float, radii: tuple[float, float], sides: int = SIDE
     """Give two rings around a line, (2, sides, 3)."""
     axis = (end - begin) / np.linalg.norm(end - begin)
     some = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    first = np.cross(axis, some)
+    first = _cross(axis, some)
     first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
+    second = _cross(axis, first)
     angles = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     circle = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
     return np.stack((begin + radii[0] * circle, end + radii[1] * circle))
 
 
+def _cross(a: Float, b: Float) -> Float:
+    """The cross product of vectors in the last axis, without the detours of NumPy's own."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+
+
 def facets(rings: Float) -> tuple[Float, Float]:
     """Give the corners (n, 4, 3) and outward unit normals (n, 3) of the facets between rings."""
-    beside = np.roll(rings, -1, axis=1)
+    beside = np.concatenate((rings[:, 1:], rings[:, :1]), axis=1)
     corners = np.stack((rings[:-1], beside[:-1], beside[1:], rings[1:]), axis=2)
-    normals = np.cross(
+    normals = _cross(
         corners[..., 2, :] - corners[..., 0, :], corners[..., 1, :] - corners[..., 3, :]
     )
     middles = rings.mean(axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -33,6 +34,8 @@ _PANEL = (4, 22, 40, 150)
 _SMALLEST = 0.45
 """Least share of 640×480 at which there are panels; below, text cannot be read."""
 _TRACE_POINTS = 120
+_MOST_TEXTS = 200
+"""How many drawn texts are kept."""
 
 
 class Label(NamedTuple):
@@ -78,6 +81,8 @@ class Panels:
         self.bottom = 88.0 * self.unit if self.shown else 0.0
         step = max(1, len(orbit) // 256)
         self._orbit = np.concatenate((orbit[::step], orbit[:1]))
+        pygame.font.init()
+        self._cells: list[pygame.Rect] = []
         self._fonts: dict[int, pygame.font.Font] = {}
         self._shades: dict[tuple[int, int], pygame.Surface] = {}
         self._texts: dict[tuple[str, Colour, int], pygame.Surface] = {}
@@ -103,7 +108,7 @@ class Panels:
 
     def width(self, text: str, size: int = 15) -> float:
         """Give how wide a text is [pixels]."""
-        return self._font(size).size(text)[0] / 2
+        return self._letters(text, _TEXT, size).get_width()
 
     def figures(self, canvas: pygame.Surface, lines: list[tuple[str, Colour]]) -> list[Label]:
         """Draw the panel at the top left for lines of text."""
@@ -118,24 +123,27 @@ class Panels:
             for row, (text, colour) in enumerate(lines)
         ]
 
-    def _font(self, size: int) -> pygame.font.Font:
-        """Give letters of twice their size: shrunk they stand evenly, small ones do not."""
-        pixels = max(9, round(size * self.unit))
-        if pixels not in self._fonts:
-            if not pygame.font.get_init():
-                pygame.font.init()
-            self._fonts[pixels] = pygame.font.Font(None, round(2.6 * pixels))
-        return self._fonts[pixels]
-
     def _letters(self, text: str, colour: Colour, size: int) -> pygame.Surface:
+        """Draw a text twice as large and shrink it: so small letters stand evenly."""
         key = (text, colour, size)
         if key not in self._texts:
-            if len(self._texts) > 200:
+            if len(self._texts) > _MOST_TEXTS:
                 self._texts.clear()
-            large = self._font(size).render(text, True, colour)
+            try:
+                large = self._font(size).render(text, True, colour)
+            except pygame.error:  # somebody has called pygame.quit(), after which fonts are dead
+                pygame.font.init()
+                self._fonts.clear()
+                large = self._font(size).render(text, True, colour)
             half = (-(-large.get_width() // 2), -(-large.get_height() // 2))
             self._texts[key] = pygame.transform.smoothscale(large, half)
         return self._texts[key]
+
+    def _font(self, size: int) -> pygame.font.Font:
+        pixels = max(9, round(size * self.unit))
+        if pixels not in self._fonts:
+            self._fonts[pixels] = pygame.font.Font(None, round(2.6 * pixels))
+        return self._fonts[pixels]
 
     def _panel(self, canvas: pygame.Surface, x: float, y: float, wide: float, high: float) -> None:
         fine = self._fine
@@ -171,10 +179,9 @@ class Panels:
         trace = history.trace
         step = max(1, len(trace) // _TRACE_POINTS)
         points = (trace[::-step][::-1] * scale + middle).tolist()
-        for index, (begin, end) in enumerate(pairwise(points)):
-            share = 0.25 + 0.75 * (index + 1) / (len(points) - 1)
-            colour = tuple(round(30 + share * (part - 30)) for part in BASE)
-            pygame.draw.line(canvas, colour, begin, end, round(2 * unit * fine))
+        wide, draw_line = round(2 * unit * fine), pygame.draw.line
+        for colour, (begin, end) in zip(_fading(len(points) - 1), pairwise(points), strict=True):
+            draw_line(canvas, colour, begin, end, wide)
         target = tuple(np.asarray(history.target) * scale + middle)
         pygame.draw.circle(canvas, TARGET, target, 6 * unit * fine, round(1.6 * unit * fine))
         pygame.draw.circle(canvas, BASE, points[-1], 3.6 * unit * fine)
@@ -198,15 +205,12 @@ class Panels:
         self._panel(canvas, margin, top, wide, high)
         left, right = margin + 22 * unit, margin + wide - 10 * unit
         first, row = top + 20 * unit, (high - 26 * unit) / 4
-        colours = strain_colours(strains)
-        edges = np.linspace(left, right, self._compartments + 1) * fine
-        gap = fine if edges[1] - edges[0] > 6 * fine else 0
-        for spring in range(4):
-            y = round((first + spring * row) * fine)
-            tall = round((first + (spring + 1) * row) * fine) - y
-            for index, colour in enumerate(colours[:, spring].tolist()):
-                begin, end = round(edges[index]), round(edges[index + 1])
-                canvas.fill(colour, (begin, y, max(end - begin - gap, 1), max(tall - fine, 1)))
+        if not self._cells:
+            edges = np.rint(np.linspace(left, right, self._compartments + 1) * fine).tolist()
+            self._cells = _cells(edges, np.rint((first + row * np.arange(5)) * fine).tolist(), fine)
+        colours = strain_colours(strains).swapaxes(0, 1).reshape(-1, 3).tolist()
+        for colour, cell in zip(colours, self._cells, strict=True):
+            canvas.fill(colour, cell)
         labels = [
             Label(
                 str(spring + 1),
@@ -244,13 +248,34 @@ class Panels:
         ]
 
 
+def _cells(columns: list[float], rows: list[float], gap: int) -> list[pygame.Rect]:
+    """Give the places of the strains, row by row, between edges in pixels."""
+    between = gap if columns[1] - columns[0] > 6 * gap else 0
+    return [
+        pygame.Rect(left, top, max(right - left - between, 1), max(bottom - top - gap, 1))
+        for top, bottom in pairwise(rows)
+        for left, right in pairwise(columns)
+    ]
+
+
+@functools.cache
+def _fading(count: int) -> list[Colour]:
+    """Shades of the trace's pieces, from old to new."""
+    red, green, blue = BASE
+    shares = [0.25 + 0.75 * (index + 1) / count for index in range(count)]
+    return [
+        (round(30 + k * (red - 30)), round(30 + k * (green - 30)), round(30 + k * (blue - 30)))
+        for k in shares
+    ]
+
+
 def status_lines(title: str, history: History, notes: Sequence[str]) -> list[tuple[str, Colour]]:
     """Give the lines of figures of an episode."""
     theta, phi = history.trace[-1]
     lines = [(title, _TEXT), (f"{history.time:.2f} s", _TEXT)]
     lines.append((f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−"), BASE))
     lines.append((f"error {history.tracking_error:.2f}°", _TEXT))
-    if history.reward is not None:
+    if history.steps:
         lines.append((f"return {history.total:.1f} of {history.steps}", _TEXT))
     if history.failure:
         lines.append(("left its domain", _ALARM))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
@@ -89,41 +89,30 @@ class Pictures:
             raise TypeError(f"overlay = {overlay!r}: expected True or False")
         self._size, self._camera = picture_size(width, height), find_camera(camera)
         self._overlay, self._settings = bool(overlay), settings
-        self._histories: list[History] = []
-        if render_mode is not None:
-            period = json.loads(settings[0])["control_period"]
-            self._histories = [History(period) for _ in settings]
         self._renderers: OrderedDict[str, Renderer] = OrderedDict()
         self._window: Window | None = None
         self._warned = False
 
-    @property
-    def wanted(self) -> bool:
-        """Whether there is a render mode; only then anything is kept."""
-        return bool(self._histories)
-
-    def begin(self, index: int, info: Mapping[str, Any]) -> None:
-        """An environment's episode has begun."""
-        self._histories[index].begin(info)
-
-    def add(self, index: int, info: Mapping[str, Any], reward: float) -> None:
-        """An environment has made a step."""
-        self._histories[index].add(info, reward)
-
-    def frame(self, index: int, subject: Subject) -> NDArray[np.uint8]:
+    def frame(self, index: int, history: History, subject: Subject) -> NDArray[np.uint8]:
         """Give the picture of an environment, (height, width, 3).
+
+        Args:
+            index: which.
+            history: its episode's past.
+            subject: what is to be seen.
 
         Raises:
             gymnasium.error.ResetNeeded: no episode has begun.
             gymnasium.error.DependencyNotInstalled: there is no pygame.
         """
-        history = self._begun(index)
+        _check_begun(history)
         return self._renderer(index, subject).frame(subject.joints, history)
 
-    def show(self, subject: Subject, *, again: bool = False) -> None:
+    def show(self, history: History, subject: Subject, *, again: bool = False) -> None:
         """Show the first environment in a window, in the time that its steps take.
 
         Args:
+            history: its episode's past.
             subject: what is to be seen.
             again: show what was shown already, without waiting.
 
@@ -133,8 +122,8 @@ class Pictures:
         """
         from octoarm_env.rendering.window import Window
 
-        history = self._begun(0)
-        if self._window is None:
+        _check_begun(history)
+        if self._window is None or self._window.lost:
             renderer = self._renderer(0, subject)
             self._window = Window(renderer, "OctoArm-v0", history.control_period)
         self._window.show(subject.joints, history, again=again)
@@ -148,12 +137,6 @@ class Pictures:
             self._window.close()
             self._window = None
         self._renderers.clear()
-
-    def _begun(self, index: int) -> History:
-        history = self._histories[index]
-        if not history.began:
-            raise ResetNeeded("render was called before reset: there is no arm to be seen")
-        return history
 
     def _renderer(self, index: int, subject: Subject) -> Renderer:
         from octoarm_env.rendering.renderer import Renderer
@@ -179,3 +162,8 @@ class Pictures:
     def __getstate__(self) -> dict[str, Any]:
         """Without what draws, which is made anew when it is needed."""
         return self.__dict__ | {"_renderers": OrderedDict(), "_window": None}
+
+
+def _check_begun(history: History) -> None:
+    if not history.began:
+        raise ResetNeeded("render was called before reset: there is no arm to be seen")

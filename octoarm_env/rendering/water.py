@@ -42,7 +42,7 @@ def draw_shadow(surface: pygame.Surface, view: View, stage: Stage, rings: Float)
         return
     below = rings - (rings @ stage.up - stage.floor)[..., np.newaxis] * stage.up
     pixels, _ = view.project(below)
-    for pair in np.concatenate((pixels[:-1], pixels[1:]), axis=1):
+    for pair in np.concatenate((pixels[:-1], pixels[1:]), axis=1).tolist():
         pygame.draw.polygon(surface, (58, 92, 100), _hull(pair))
 
 
@@ -107,22 +107,22 @@ def _level(up: Float) -> tuple[Float, Float]:
     return along, np.cross(up, along)
 
 
-def _hull(points: Float) -> list[list[float]]:
+def _hull(points: list[list[float]]) -> list[list[float]]:
     """Give the convex hull of points in the plane (Andrew's monotone chain)."""
-    ordered = sorted(points.tolist())
-    halves = []
+    ordered = sorted(points)
+    hull = []
     for sequence in (ordered, ordered[::-1]):
         half: list[list[float]] = []
         for point in sequence:
-            while len(half) > 1 and _turn(half[-2], half[-1], point) <= 0:
+            x, y = point
+            while len(half) > 1:
+                (ax, ay), (bx, by) = half[-2], half[-1]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
+                    break
                 half.pop()
             half.append(point)
-        halves.append(half[:-1])
-    return halves[0] + halves[1]
-
-
-def _turn(a: list[float], b: list[float], c: list[float]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        hull += half[:-1]
+    return hull
 
 
 def _colour(shade: Float) -> tuple[int, int, int]:

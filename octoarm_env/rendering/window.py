@@ -95,6 +95,11 @@ class Window:
         """What draws; another one after the window's size has changed."""
         return self._renderer
 
+    @property
+    def lost(self) -> bool:
+        """Whether somebody else has closed all windows of this process, with pygame.quit()."""
+        return not self.closed and pygame.display.get_surface() is not self._screen
+
     def show(self, joints: Float, history: History, *, again: bool = False) -> None:
         """Show a step when its time has come; while paused, wait.
 
@@ -128,12 +133,12 @@ class Window:
             self._due = now
 
     def hold(self, joints: Float, history: History) -> None:
-        """Show an end until the window is closed or a key or button is pressed."""
+        """Show an end, which can be looked at from all sides, until a key is pressed."""
         while not self.closed:
-            if any(event in (pygame.KEYDOWN, pygame.MOUSEBUTTONDOWN) for event in self._react()):
-                return
-            self._draw(joints, history)
+            self._draw(joints, history, "the end; any key closes")
             time.sleep(_FRAME_TIME)
+            if pygame.KEYDOWN in self._react():
+                return
 
     def close(self) -> None:
         """Close the window; nothing happens if it is closed."""
@@ -141,9 +146,10 @@ class Window:
             self.closed = True
             pygame.display.quit()
 
-    def _draw(self, joints: Float, history: History) -> None:
+    def _draw(self, joints: Float, history: History, note: str = "") -> None:
         state = "paused" if self.paused else f"{self.speed:.3g}×"
-        self._renderer.notes = (f"{state}   h: keys", *(_HELP if self._help else ()))
+        note = note or f"{state}   h: keys"
+        self._renderer.notes = (note, *(_HELP if self._help else ()))
         self._screen.blit(self._renderer.draw(joints, history), (0, 0))
         pygame.display.flip()
         self._stale = False
@@ -151,6 +157,9 @@ class Window:
 
     def _react(self) -> list[int]:
         """Do what the user asked for; give the types of what happened."""
+        if self.lost:
+            self.closed = True
+            return []
         events = pygame.event.get()
         for event in events:
             if event.type == pygame.QUIT:

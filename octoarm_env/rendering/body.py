@@ -1,0 +1,224 @@
+"""The arm, its springs and its base: pieces that are drawn from the farthest on."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_env.parameters import ArmParameters
+from octoarm_env.rendering import mesh
+from octoarm_env.rendering.camera import Stage, View
+from octoarm_env.rendering.colours import BASE, FLESH, ORBIT, SPRINGS, TARGET, Colour
+from octoarm_env.rendering.history import History
+from octoarm_env.rendering.toolkit import pygame
+from octoarm_env.rendering.water import HAZE, draw_shadow
+
+__all__ = ["Body", "stage_of"]
+
+Float = NDArray[np.float64]
+Pieces = list[tuple[Any, ...]]
+"""Nearness, colour, corners, and the width of a line or 0 for a polygon."""
+
+_METAL = np.array([168.0, 178.0, 186.0])
+_RING: Colour = (120, 150, 164)
+_POINTER = 0.2
+"""Length of the base's pointer as a share of the arm's."""
+_PLATE = (1.55, 0.5)
+"""Radius and thickness of the plate as shares of the arm's base radius."""
+_TRACE_PIECES = 100
+"""How finely the pointer's past is drawn."""
+_ORBIT_PIECES = 96
+
+
+class Body:
+    """Draws an arm on its base, with what the base is to do.
+
+    Args:
+        parameters: the arm.
+        orbit: the target, (K, 2) [degrees].
+        fine: pixels of the canvas for one of the picture; springs and rims are not thinner.
+    """
+
+    def __init__(self, parameters: ArmParameters, orbit: Float, fine: int) -> None:
+        self._fine = fine
+        self._parameters, self._stage = parameters, stage_of(parameters)
+        count = parameters.compartments
+        rows = np.arange(count + 3) % 2
+        rows[count:] = rows[count - 1]
+        self._flesh = np.repeat(np.array(FLESH, dtype=np.float64)[rows], mesh.SIDES, axis=0)
+        self._pointer = _POINTER * parameters.rest_length * count
+        step = max(1, len(orbit) // _ORBIT_PIECES)
+        self.path = self._pointed(np.concatenate((orbit[::step], orbit[:1])))
+        """Where the end of the pointer is to pass, (n, 3) [m]."""
+        self._view: View | None = None
+        self._standing: Pieces = []
+
+    def draw(
+        self, canvas: pygame.Surface, view: View, joints: Float, history: History, factor: float
+    ) -> None:
+        """Draw it.
+
+        Args:
+            canvas: on which.
+            view: from where.
+            joints: `OctoArmEnv.arm_joints`, (N + 1, 4, 3) [m].
+            history: of the episode, which has begun.
+            factor: how many times as large the planes' ways to the side are drawn.
+        """
+        if view is not self._view:
+            self._view, self._standing = view, self._what_stands(view)
+        joints = mesh.exaggerate(joints, self._stage.up, factor)
+        rings = mesh.skin(joints)
+        draw_shadow(canvas, view, self._stage, rings[::2, ::2])
+        trace = history.trace
+        points = self._pointed(trace[:: -max(1, len(trace) // _TRACE_PIECES)][::-1])
+        pieces = self._solids(view, rings, points[-1])
+        pieces += self._springs(view, joints)
+        pieces += self._standing
+        pieces += self._past(view, points)
+        pieces.sort(key=operator.itemgetter(0))
+        draw_polygon, draw_line = pygame.draw.polygon, pygame.draw.line
+        for _, colour, corners, wide in pieces:
+            if wide:
+                draw_line(canvas, colour, corners[0], corners[1], wide)
+            else:
+                draw_polygon(canvas, colour, corners)
+        self._knobs(canvas, view, points[-1], history.target)
+
+    def _pointed(self, angles: Float) -> Float:
+        """Where the end of the pointer is for base angles (n, 2) [degrees], (n, 3) [m]."""
+        theta, phi = np.radians(angles).T
+        normal = np.stack(
+            (np.sin(phi), -np.sin(theta) * np.cos(phi), np.cos(theta) * np.cos(phi)), axis=1
+        )
+        points: Float = -self._pointer * normal
+        return points
+
+    def _solids(self, view: View, rings: Float, end: Float) -> Pieces:
+        """The skin, the plate that leans, and its pointer."""
+        radius, normal = self._parameters.base_radius, -end / self._pointer
+        wide, thick = radius * _PLATE[0], radius * _PLATE[1]
+        plate = mesh.tube(-thick * normal, -1e-4 * normal, (wide, wide))
+        rod = mesh.tube(-thick * normal, end, (0.16 * radius, 0.1 * radius), 8)
+        parts = [mesh.facets(part) for part in (rings, plate, rod)]
+        corners, normals = (np.concatenate(each) for each in zip(*parts, strict=True))
+        metal = np.tile(_METAL, (len(corners) - len(self._flesh), 1))
+        pieces = self._shaded(view, corners, normals, np.concatenate((self._flesh, metal)))
+        lids = np.stack((_METAL, 0.7 * _METAL))
+        return pieces + self._shaded(view, plate, np.stack((-normal, normal)), lids)
+
+    def _shaded(self, view: View, corners: Float, normals: Float, colours: Float) -> Pieces:
+        """Facets (n, corners, 3) that are seen, in the light."""
+        middles = corners.mean(axis=1)
+        seen = ((view.origin - middles) * normals).sum(axis=1) > 0
+        corners, normals, colours = corners[seen], normals[seen], colours[seen]
+        pixels, depth = view.project(corners)
+        light = 0.8 * self._stage.up + 0.45 * view.back - 0.4 * view.right
+        light /= np.linalg.norm(light)
+        shaded = mesh.lit(colours, normals, light, view.back, HAZE)
+        depths = depth.mean(axis=1)
+        far = np.clip((depths / view.distance - 0.9) * 0.5, 0.0, 0.6)[:, np.newaxis]
+        shaded = np.rint(shaded + far * (HAZE - shaded)).astype(int)
+        polygons = [0] * len(depths)
+        return list(
+            zip((-depths).tolist(), shaded.tolist(), pixels.tolist(), polygons, strict=True)
+        )
+
+    def _springs(self, view: View, joints: Float) -> Pieces:
+        """The springs that lie on this side of the arm."""
+        middles = 0.5 * (joints[:-1] + joints[1:])
+        outwards = middles - middles.mean(axis=1, keepdims=True)
+        towards = view.origin - middles
+        # A little beyond the edge too, where half of a spring's width is still seen.
+        size = np.linalg.norm(outwards, axis=2) * np.linalg.norm(towards, axis=2)
+        seen = (outwards * towards).sum(axis=2) > -0.12 * size
+        bias = np.linalg.norm(outwards, axis=2)
+        begins, _ = view.project(joints[:-1])
+        ends, _ = view.project(joints[1:])
+        depth = -view.project(middles)[1] + 0.7 * bias
+        thick = 0.13 * float(self._parameters.tip_radius + self._parameters.base_radius)
+        wide = max(self._fine, round(view.size_at(thick, middles[0, 0])))
+        pieces = []
+        for j, i in np.argwhere(seen).tolist():
+            line = (begins[j, i].tolist(), ends[j, i].tolist())
+            pieces.append((float(depth[j, i]), SPRINGS[i], line, wide))
+        return pieces
+
+    def _what_stands(self, view: View) -> Pieces:
+        """The ring that does not lean, and the curve to be followed."""
+        ring = mesh.tube(
+            np.zeros(3), self._stage.up, (2.3 * self._parameters.base_radius, 1.0), 48
+        )[0]
+        ring = np.concatenate((ring, ring[:1]))
+        wide = _thin(view)
+        return [
+            *self._line(view, ring, [_RING] * (len(ring) - 1), wide),
+            *self._line(view, self.path, [ORBIT] * (len(self.path) - 1), wide),
+        ]
+
+    def _past(self, view: View, points: Float) -> Pieces:
+        """Where the end of the pointer was, in front of the curve, the newest last."""
+        shares, shades = _fading(len(points) - 1)
+        nearer = self._parameters.base_radius * (1.0 + shares)
+        return self._line(view, points, shades, 2 * _thin(view), nearer)
+
+    def _line(
+        self,
+        view: View,
+        points: Float,
+        colours: list[Colour],
+        wide: int,
+        nearer: Float | float = 0.0,
+    ) -> Pieces:
+        """A line piece by piece, each drawn as if it were so many metres nearer."""
+        pixels, depth = view.project(points)
+        depths = (nearer - 0.5 * (depth[:-1] + depth[1:])).tolist()
+        corners = pixels.tolist()
+        return [
+            (d, c, pair, wide)
+            for d, c, pair in zip(depths, colours, pairwise(corners), strict=True)
+        ]
+
+    def _knobs(self, canvas: pygame.Surface, view: View, end: Float, target: Float) -> None:
+        """The end of the pointer, and where it should be."""
+        pair = np.stack((end, self._pointed(target[np.newaxis])[0]))
+        pixels, _ = view.project(pair)
+        radius = max(view.size_at(0.28 * self._parameters.base_radius, pair[0]), 2.0)
+        pygame.draw.circle(canvas, BASE, tuple(pixels[0]), radius)
+        rim = max(self._fine, round(0.3 * radius))
+        pygame.draw.circle(canvas, TARGET, tuple(pixels[1]), 1.6 * radius, rim)
+
+
+def stage_of(parameters: ArmParameters) -> Stage:
+    """Give what must be in the picture of an arm, and which way is up."""
+    gravity = np.array(parameters.gravity, dtype=np.float64)
+    strength = float(np.linalg.norm(gravity))
+    up = -gravity / strength if strength > 0 else np.array([0.0, 0.0, -1.0])
+    length = parameters.rest_length * parameters.compartments
+    axis = np.array([0.0, 0.0, 1.0])
+    top = -(_POINTER + 0.02) * length * axis
+    tip = length * axis
+    middle = 0.5 * (top + tip)
+    low = min(float(top @ up), float(tip @ up), float(middle @ up) - 0.5 * length)
+    return Stage(up, top, tip, low - 0.06 * length)
+
+
+def _thin(view: View) -> int:
+    """Pixels of a thin line at the base."""
+    return max(1, round(view.size_at(0.0012, np.zeros(3))))
+
+
+@functools.cache
+def _fading(count: int) -> tuple[Float, list[Colour]]:
+    """Ages of pieces from old to new, and their shades."""
+    shares = np.linspace(0.35, 1.0, max(count, 1))[:count]
+    red, green, blue = BASE
+    shades = [
+        (round(share * red), round(share * green), round(share * blue)) for share in shares.tolist()
+    ]
+    return shares, shades
