@@ -57,14 +57,16 @@ def drag(button, *ways):
     pygame.event.post(pygame.event.Event(pygame.MOUSEBUTTONUP, button=button, pos=(0, 0)))
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("speed", [1.0, 3.0])
 def test_steps_take_their_time(make_window, arm, speed):
     window = make_window(speed=speed)
     window.show(*arm)
     begin = time.monotonic()
-    for _ in range(30):
+    for _ in range(100):
         window.show(*arm)
-    assert time.monotonic() - begin == pytest.approx(0.3 / speed, abs=0.06)
+    taken = time.monotonic() - begin
+    # It may be late by a tenth of a second and catch up; the machine does other things too.
+    assert 1.0 / speed - 0.11 < taken < 1.0 / speed + 0.4
 
 
 def test_at_most_sixty_frames_are_drawn(make_window, arm, monkeypatch):
@@ -248,6 +250,16 @@ def test_no_display(make_window, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "nothing")
     with pytest.raises(WindowError, match='no window can be opened.*render_mode="rgb_array"'):
         make_window()
+
+
+def test_a_window_that_is_nowhere(make_window, monkeypatch):
+    """What SDL opens where it finds no display, as nobody could press a key in it."""
+    monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
+    with pytest.raises(WindowError, match="no display was found"):
+        make_window()
+    assert not pygame.display.get_init()
+    monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
+    make_window().close()
 
 
 def test_an_environment_goes_on_without_its_window():

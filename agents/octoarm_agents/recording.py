@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+import io
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,31 +24,49 @@ if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer
 
 __all__ = [
+    "FASTEST_GIF",
     "FORMATS",
-    "LONGEST_GIF",
     "Film",
     "default_fps",
     "film_episode",
     "frame_steps",
+    "longest_gif",
     "open_film",
     "picture_end",
 ]
 
 FORMATS = (".mp4", ".gif")
-LONGEST_GIF = 1500
-"""Most frames of a GIF: all are held in memory for their common colours."""
+FASTEST_GIF = 50.0
+"""Most frames of a second of a GIF: viewers show one that lasts less than 2/100 s for 1/10 s."""
 
+_LARGEST_GIF = 2_000_000_000
+"""Most bytes of a GIF's frames, 4 a pixel: all are held in memory for their common colours."""
+
+# The kind of colours is written down: players else guess it from the size of the picture.
+_MP4 = [
+    "-vf",
+    "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,"
+    "setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=bt709",
+    *("-c:v", "libx264", "-crf", "15", "-movflags", "+faststart"),
+]
 # One table of colours for the whole film, made from what moves; ordered dithering, which stays
 # where it is from frame to frame, so that water that stands still costs nothing.
-_GIF = (
+_GIF = [
+    "-filter_complex",
     "split[a][b];[a]palettegen=stats_mode=full[p];"
-    "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
-)
+    "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle",
+    *("-c:v", "gif", "-loop", "0"),
+]
 
 
 def default_fps(path: Path) -> float:
     """Frames of a second of a film: 50, and 25 of a GIF, whose times are in hundredths."""
     return 25.0 if path.suffix == ".gif" else 50.0
+
+
+def longest_gif(size: tuple[int, int]) -> int:
+    """Most frames of a GIF of this size."""
+    return _LARGEST_GIF // (4 * size[0] * size[1])
 
 
 def frame_steps(steps: int, control_period: float, fps: float, speed: float) -> NDArray[np.intp]:
@@ -61,6 +84,10 @@ def frame_steps(steps: int, control_period: float, fps: float, speed: float) -> 
     return shown
 
 
+class _BrokenPipeError(OSError):
+    """ffmpeg reads no more."""
+
+
 class Film:
     """A film that frames are added to.
 
@@ -68,21 +95,25 @@ class Film:
         frames: added so far.
     """
 
-    def __init__(self, writer: Generator[None, Any, None], size: tuple[int, int]) -> None:
-        self._writer, self._size, self.frames = writer, size, 0
+    def __init__(self, pipe: IO[bytes], size: tuple[int, int]) -> None:
+        self._pipe, self._size, self.frames = pipe, size, 0
 
     def add(self, frame: NDArray[np.uint8]) -> None:
         """Add a frame, (height, width, 3).
 
         Raises:
             ValueError: it has another size than the film.
+            OSError: the film cannot be written.
         """
         width, height = self._size
         if frame.shape != (height, width, 3) or frame.dtype != np.uint8:
             raise ValueError(
                 f"frame is {frame.dtype} {frame.shape}: expected uint8 ({height}, {width}, 3)"
             )
-        self._writer.send(np.ascontiguousarray(frame))
+        try:
+            self._pipe.write(np.ascontiguousarray(frame).data)
+        except OSError as error:
+            raise _BrokenPipeError(*error.args) from None
         self.frames += 1
 
 
@@ -93,11 +124,11 @@ def open_film(path: Path, size: tuple[int, int], fps: float) -> Iterator[Film]:
     Args:
         path: of the film, `.mp4` or `.gif`.
         size: (width, height) [pixels]; even numbers for `.mp4`.
-        fps: frames of a second.
+        fps: frames of a second; at most `FASTEST_GIF` for `.gif`.
 
     Raises:
-        ValueError: another kind of file, or an odd size.
-        OSError: the file cannot be written.
+        ValueError: another kind of file, an odd size, or a GIF that is too fast.
+        OSError: the file cannot be written, or no frame was added.
     """
     import imageio_ffmpeg
 
@@ -106,30 +137,58 @@ def open_film(path: Path, size: tuple[int, int], fps: float) -> Iterator[Film]:
     moving = path.suffix == ".mp4"
     if moving and (size[0] % 2 or size[1] % 2):
         raise ValueError(f"size = {size[0]}×{size[1]}: H.264 needs an even width and height")
-    options: dict[str, Any] = (
-        {"quality": 7, "output_params": ["-movflags", "+faststart"]}
-        if moving
-        else {
-            "codec": "gif",
-            "pix_fmt_out": "pal8",
-            "quality": None,
-            "output_params": ["-filter_complex", _GIF, "-loop", "0"],
-        }
-    )
-    with atomic_file(path) as file:
-        writer = imageio_ffmpeg.write_frames(
-            str(file), size, fps=fps, macro_block_size=1, ffmpeg_log_level="error", **options
+    if not moving and fps > FASTEST_GIF:
+        raise ValueError(f"fps = {fps:g}: a GIF shows at most {FASTEST_GIF:g} frames a second")
+    try:
+        ffmpeg = imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+    # The library's own writer does not look at how ffmpeg ended: a full disk would cut a film
+    # short without a word.
+    command = [ffmpeg, "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+    command += ["-s", f"{size[0]}x{size[1]}", "-r", str(Fraction(fps).limit_denominator(100_000))]
+    command += ["-i", "-", *(_MP4 if moving else _GIF)]
+    with atomic_file(path) as file, tempfile.TemporaryFile() as messages:
+        encoder = subprocess.Popen(
+            [*command, str(file)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            # Ctrl-C is for this process alone.
+            process_group=0 if os.name == "posix" else -1,
         )
-        writer.send(None)
-        film = Film(writer, size)
+        assert encoder.stdin is not None
+        film, whole = Film(encoder.stdin, size), True
         try:
             yield film
+        except _BrokenPipeError:
+            whole = False
+        except BaseException:
+            encoder.kill()
+            raise
         finally:
-            writer.close()
-        # The end of ffmpeg is not looked at by the library.
-        found = imageio_ffmpeg.count_frames_and_secs(str(file))[0] if file.stat().st_size else 0
-        if not 0 < found <= film.frames:
-            raise OSError(f"{path}: ffmpeg wrote {found} of {film.frames} frames")
+            try:
+                encoder.stdin.close()
+            except OSError:  # of what was still to be sent
+                whole = False
+            try:
+                encoder.wait()
+            finally:
+                encoder.kill()  # if this was interrupted; else it has ended
+                encoder.wait()
+        if whole and not film.frames:
+            raise OSError("no frame was added")
+        if encoder.returncode or not whole:
+            messages.seek(0)
+            raise OSError(_reason(messages.read(), encoder.returncode))
+
+
+def _reason(messages: bytes, status: int) -> str:
+    """Say in a line why ffmpeg gave up."""
+    # What is in brackets before its words are ffmpeg's parts and their addresses.
+    lines = [line.rpartition("] ")[2] for line in messages.decode(errors="replace").splitlines()]
+    words = [line.strip().rstrip(".") for line in lines]
+    return f"ffmpeg: {next(filter(None, words), f'ended with status {status}')}"
 
 
 def film_episode(
@@ -193,5 +252,8 @@ def picture_end(
         if progress is not None:
             progress(1)
     picture = renderer.draw(episode.arm_env.arm_joints, history)
+    # Not into the file itself: pygame says nothing of a full disk.
+    encoded = io.BytesIO()
+    pygame.image.save(picture, encoded, "picture.png")
     with atomic_file(path) as file:
-        pygame.image.save(picture, str(file))
+        file.write_bytes(encoded.getvalue())

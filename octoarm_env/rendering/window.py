@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -79,12 +80,15 @@ class Window:
         self._held: int | None = None
         try:
             pygame.display.init()
+            # Where it finds no display, SDL may open a window that is nowhere.
+            if pygame.display.get_driver() == "offscreen" != os.environ.get("SDL_VIDEODRIVER"):
+                raise pygame.error("no display was found")
             self._screen = pygame.display.set_mode(renderer.size, pygame.RESIZABLE)
         except pygame.error as error:
             pygame.display.quit()
             raise WindowError(
                 f"no window can be opened: {error}. Without a display use "
-                'render_mode="rgb_array" or octoarm record'
+                'render_mode="rgb_array", octoarm record, or octoarm watch --view terminal'
             ) from None
         pygame.display.set_caption(caption)
         pygame.key.set_repeat(300, 60)

@@ -11,8 +11,9 @@ import gc
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from octoarm_agents.benchmark.contenders import (
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_env import OctoArmVectorEnv, instruction_set
 
-__all__ = ["Ratio", "SpeedResult", "Spread", "measure_speed"]
+__all__ = ["Ratio", "SpeedResult", "Spread", "measure_speed", "take_turns", "time_slice"]
 
 MEMORY_ENVS = 4096
 
@@ -211,40 +212,65 @@ def measure_speed(
     memory = _memory_per_environment()
     contenders = {contender.name: contender for contender in make_contenders()}
     try:
-        budget = seconds / (rounds * len(contenders))
-        steps = {name: _fitting_steps(each, budget) for name, each in contenders.items()}
-        result = SpeedResult(rounds, contenders, steps, {name: [] for name in contenders}, memory)
-        names = list(contenders)
-        for turn in range(rounds):
-            # Every round begins with another contender, so that none always follows the same one.
-            for index in range(len(names)):
-                contender = contenders[names[(turn + index) % len(names)]]
-                count = steps[contender.name]
-                taken = _time_slice(contender, count)
-                result.microseconds[contender.name].append(
-                    1e6 * taken / (count * contender.arm_steps)
-                )
-                if advance is not None:
-                    advance(contender.name, rounds * len(names))
+        slices = {name: partial(time_slice, each) for name, each in contenders.items()}
+        limits = {name: each.limit for name, each in contenders.items()}
+        steps, times = take_turns(slices, limits, seconds, rounds, advance)
     finally:
         for contender in contenders.values():
             contender.close()
-    return result
+    microseconds = {
+        name: [1e6 * each / contenders[name].arm_steps for each in values]
+        for name, values in times.items()
+    }
+    return SpeedResult(rounds, contenders, steps, microseconds, memory)
 
 
-def _fitting_steps(contender: Contender, budget: float) -> int:
+def take_turns(
+    slices: Mapping[str, Callable[[int], float]],
+    limits: Mapping[str, int],
+    seconds: float,
+    rounds: int,
+    advance: Callable[[str, int], Any] | None = None,
+) -> tuple[dict[str, int], dict[str, list[float]]]:
+    """Time contenders in turns, a slice of each in every round.
+
+    Args:
+        slices: by name, what makes so many steps and gives the seconds that they took.
+        limits: by name, most steps in a slice.
+        seconds: time for all slices together.
+        rounds: slices of each contender.
+        advance: called with a contender's name and the number of slices in all, after each slice.
+
+    Returns:
+        Steps in a slice, and seconds of a step in every round, both by name.
+    """
+    names = list(slices)
+    budget = seconds / (rounds * len(names))
+    steps = {name: _fitting_steps(slices[name], limits[name], budget) for name in names}
+    times: dict[str, list[float]] = {name: [] for name in names}
+    for turn in range(rounds):
+        # Every round begins with another contender, so that none always follows the same one.
+        for index in range(len(names)):
+            name = names[(turn + index) % len(names)]
+            times[name].append(slices[name](steps[name]) / steps[name])
+            if advance is not None:
+                advance(name, rounds * len(names))
+    return steps, times
+
+
+def _fitting_steps(measure: Callable[[int], float], limit: int, budget: float) -> int:
     """Steps that take about `budget` seconds."""
     count = 1
-    _time_slice(contender, count)  # the first slice also pays for what is made only once
+    measure(count)  # the first slice also pays for what is made only once
     while True:
-        taken = _time_slice(contender, count)
+        taken = measure(count)
         wanted = int(count * budget / max(taken, 1e-9))
-        if wanted <= 2 * count or count == contender.limit:
-            return max(1, min(wanted, contender.limit))
-        count = min(8 * count, wanted, contender.limit)
+        if wanted <= 2 * count or count == limit:
+            return max(1, min(wanted, limit))
+        count = min(8 * count, wanted, limit)
 
 
-def _time_slice(contender: Contender, steps: int) -> float:
+def time_slice(contender: Contender, steps: int) -> float:
     """Seconds for `steps` steps from a fresh start."""
     contender.prepare()
     collecting = gc.isenabled()

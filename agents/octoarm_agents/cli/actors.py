@@ -77,7 +77,10 @@ def find_actor(name: str, arm: Path | None) -> Actor:
     from octoarm_agents.environment import TARGETS
 
     kind, _, target = name.partition("/")
-    if kind in ("hold", "clock") and target in TARGETS and not Path(name).exists():
+    if kind in ("hold", "clock") and not Path(name).exists():
+        if target not in TARGETS:
+            known = ", ".join(f"{kind}/{each}" for each in TARGETS)
+            raise typer.BadParameter(f"{name!r} is not one of {known}.")
         return Actor(name, cast("Trivial", kind), read_body(arm), {"target": target})
     policy = find_policy(name)
     body = policy.parameters

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from octoarm_agents.cli.options import number_between, output_file
+from octoarm_agents.cli.options import need_extra, number_between, output_file
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
-    from octoarm_agents.benchmark.speed import SpeedResult
+    from octoarm_agents.benchmark.pictures import PictureResult
+    from octoarm_agents.benchmark.speed import Ratio, SpeedResult, Spread
+
+_Result = TypeVar("_Result")
 
 _MISSING = "{} not installed, so left out: pip install 'octoarm-agents[benchmark]'"
 
@@ -41,6 +47,9 @@ def benchmark(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the figures as JSON instead of tables.")
     ] = False,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Time pictures instead of the physics.")
+    ] = False,
 ) -> None:
     """Time one arm, batches of 1 to 1024, the environments and their peers, in one run.
 
@@ -50,54 +59,120 @@ def benchmark(
     may be read off it. The contenders take turns in several rounds; ratios are formed within a
     round, because absolute times on a shared machine are not steady. Columns are minimum, median
     and maximum over rounds.
+
+    With --pictures: pictures of the environments in several sizes, beside those of Gymnasium's
+    pygame environments and of MuJoCo's renderer, and what a step pays for pictures that nobody
+    draws.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from octoarm_agents.benchmark.speed import PEERS, measure_speed
     from octoarm_agents.files import write_json
 
-    console, errors = Console(width=120), Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=errors, transient=True) as progress:
-        task = progress.add_task("measuring", total=None)
-        result = measure_speed(
-            seconds, rounds, lambda name, total: progress.update(task, advance=1, total=total)
-        )
+    result: SpeedResult | PictureResult
+    if pictures:
+        with need_extra("render"):
+            from octoarm_agents.benchmark.pictures import measure_pictures
+        result = _watched(measure_pictures, seconds, rounds)
+        show = partial(_show_pictures, result)
+    else:
+        from octoarm_agents.benchmark.speed import measure_speed
+
+        result = _watched(measure_speed, seconds, rounds)
+        show = partial(_show_speed, result)
     content = result.to_dict()
     if out is not None:
         write_json(out, content)
     if as_json:
         typer.echo(json.dumps(content, indent=2, allow_nan=False))
         return
+    console = Console(width=120)
+    show(console, content)
+    if out is not None:
+        console.print(f"Wrote {out}.", soft_wrap=True)
+
+
+def _watched(
+    measure: Callable[[float, int, Callable[[str, int], Any]], _Result],
+    seconds: float,
+    rounds: int,
+) -> _Result:
+    """Measure with a progress bar on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("measuring", total=None)
+        return measure(
+            seconds, rounds, lambda name, total: progress.update(task, advance=1, total=total)
+        )
+
+
+def _show_speed(result: SpeedResult, console: Console, content: dict[str, Any]) -> None:
+    from octoarm_agents.benchmark.speed import PEERS
+
     console.print(_times(result))
-    console.print(_comparisons(result))
+    console.print(_comparisons(result.ratios()))
     if result.memory is not None:
         console.print(f"Memory of a sub-environment: {result.memory / 1024:.1f} KiB.")
     console.print(_machine(content), soft_wrap=True)
     for name, peer in PEERS.items():
         if name not in result.microseconds:
             console.print(_MISSING.format(peer), soft_wrap=True, markup=False)
-    if out is not None:
-        console.print(f"Wrote {out}.", soft_wrap=True)
+
+
+def _show_pictures(result: PictureResult, console: Console, content: dict[str, Any]) -> None:
+    console.print(_picture_times(result))
+    table = _table(f"Microseconds of a step, {result.rounds} rounds")
+    _add_rows(table, result.steps)
+    console.print(table)
+    console.print(_comparisons(result.ratios()))
+    target = content["target"]
+    reached = "reached" if target["reached"] else "missed"
+    console.print(
+        f"Target, {target['frames_per_second']:g} frames a second of {target['picture']}: "
+        f"{reached}."
+    )
+    console.print(_machine(content), soft_wrap=True)
+    if result.opengl is not None:
+        console.print(f"MuJoCo draws with {result.opengl}.", soft_wrap=True, markup=False)
+    for name, reason in result.left_out.items():
+        console.print(f"{name} left out: {reason}", soft_wrap=True, markup=False)
+
+
+def _picture_times(result: PictureResult) -> Table:
+    table = _table(f"Milliseconds of a picture, {result.rounds} rounds")
+    table.add_column("a second", justify="right")
+    _add_rows(
+        table, result.pictures, {name: f"{result.rate(name):,.0f}" for name in result.pictures}
+    )
+    return table
 
 
 def _times(result: SpeedResult) -> Table:
     table = _table(f"Microseconds of an arm's time step, {result.rounds} rounds")
     table.add_column("times real time", justify="right")
-    for name, spread in result.spreads.items():
-        figures = (f"{value:.3f}" for value in spread.to_dict().values())
-        table.add_row(name, *figures, f"{result.real_time(name):,.0f}")
+    spreads = result.spreads
+    _add_rows(table, spreads, {name: f"{result.real_time(name):,.0f}" for name in spreads})
     return table
 
 
-def _comparisons(result: SpeedResult) -> Table:
+def _comparisons(ratios: Iterable[Ratio]) -> Table:
     table = _table("Compared round by round")
-    for ratio in result.ratios():
-        digits = 0 if ratio.unit == "a second" else 2 if ratio.spread.median < 10 else 1
+    for ratio in ratios:
+        digits = 0 if ratio.unit == "a second" else 2 if abs(ratio.spread.median) < 10 else 1
         figures = (f"{value:,.{digits}f} {ratio.unit}" for value in ratio.spread.to_dict().values())
         table.add_row(ratio.label, *figures)
     return table
+
+
+def _add_rows(
+    table: Table, spreads: Mapping[str, Spread], last: Mapping[str, str] | None = None
+) -> None:
+    """A row of each spread, and one more figure of each where there is one."""
+    for name, spread in spreads.items():
+        figures = [f"{value:.3f}" for value in spread.to_dict().values()]
+        table.add_row(name, *figures, *([] if last is None else [last[name]]))
 
 
 def _table(title: str) -> Table:

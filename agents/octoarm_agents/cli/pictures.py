@@ -37,7 +37,9 @@ CameraName = Annotated[
     ),
 ]
 Zoom = Annotated[
-    float, typer.Option(help="Times the camera's own.", callback=number_between(0.1, 10.0))
+    # Within this no camera comes to the end of its range.
+    float,
+    typer.Option(help="Times the camera's own.", callback=number_between(0.2, 6.0)),
 ]
 Exaggeration = Annotated[
     float,

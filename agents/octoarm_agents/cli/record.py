@@ -29,6 +29,8 @@ from octoarm_agents.cli.pictures import (
 
 __all__ = ["record"]
 
+_MOST_FRAMES = 1_000_000
+
 
 def record(
     policy: Annotated[str, typer.Argument(help=ACTOR_HELP, show_default=False)],
@@ -80,19 +82,31 @@ def record(
     if out.suffix not in (*recording.FORMATS, ".png"):
         known = ", ".join((*recording.FORMATS, ".png"))
         raise typer.BadParameter(f"{out} does not end in one of {known}.", param_hint="'--out'")
-    env = actor.make_env(steps)
     rate = recording.default_fps(out) if fps is None else fps
+    if out.suffix == ".gif" and rate > recording.FASTEST_GIF:
+        raise typer.BadParameter(
+            f"{rate:g} is too fast for a .gif, at most {recording.FASTEST_GIF:g}: choose .mp4.",
+            param_hint="'--fps'",
+        )
+    env = actor.make_env(steps)
     try:
         assert actor.policy is not None
         episode = Episode(actor.policy, env, seed=seed, steps=steps, push=push, noise=noise)
         renderer = make_renderer(
             episode, policy, (width, height), camera, zoom, exaggeration, overlay=overlay
         )
-        frames = len(recording.frame_steps(steps, episode.period, rate, speed))
-        if out.suffix == ".gif" and frames > recording.LONGEST_GIF:
+        frames = round(steps * episode.period * rate / speed) + 1
+        if frames > _MOST_FRAMES:
             raise typer.BadParameter(
-                f"{frames:,} frames are too many for a .gif, at most {recording.LONGEST_GIF:,}: "
-                "choose .mp4, fewer --steps or a lower --fps.",
+                f"{frames:,} frames are too many, at most {_MOST_FRAMES:,}: choose fewer --steps, "
+                "a lower --fps or a higher --speed.",
+                param_hint="'--out'",
+            )
+        most = recording.longest_gif(renderer.size)
+        if out.suffix == ".gif" and frames > most:
+            raise typer.BadParameter(
+                f"{frames:,} frames of {width}×{height} are too many for a .gif, at most {most:,}: "
+                "choose .mp4, fewer --steps, a lower --fps or a smaller picture.",
                 param_hint="'--out'",
             )
         with tqdm(total=steps, unit=" steps", disable=None, leave=False) as bar:

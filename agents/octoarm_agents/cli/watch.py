@@ -82,8 +82,11 @@ def watch(
     noise: NoiseSize = 0.0,
     arm: OtherArm = None,
     target: Annotated[
-        str, typer.Option(help="What the mouse is to follow, without a policy.")
-    ] = "quadratic",
+        str | None,
+        typer.Option(
+            help="What the mouse is to follow, without a policy.", show_default="quadratic"
+        ),
+    ] = None,
     view: Annotated[
         str,
         typer.Option(
@@ -117,8 +120,12 @@ def watch(
             raise typer.BadParameter(
                 "the mouse needs a window: name a POLICY.", param_hint="'--view'"
             )
-        actor = _by_hand(target, arm)
+        actor = _by_hand("quadratic" if target is None else target, arm)
     else:
+        if target is not None:
+            raise typer.BadParameter(
+                "an agent has its own target; this is the mouse's.", param_hint="'--target'"
+            )
         actor = find_actor(policy, arm)
     in_window = view == "window" or policy is None or (view == "auto" and _can_open_a_window())
     settings = {"push": push, "noise": noise, "steps": steps}

@@ -91,6 +91,11 @@ def show_in_window(
                 window.show(joints, history)
             if episode.ended:
                 typer.echo(episode.report())
+            elif episode.steps_made:
+                typer.echo(
+                    f"seed {episode.seed}: closed after {episode.time:.2f} s, "
+                    f"return {episode.earned:.1f} of {episode.steps_made}"
+                )
             if window.closed:
                 return
         if window is not None:

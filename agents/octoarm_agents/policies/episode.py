@@ -155,5 +155,6 @@ class Episode:
             ),
         ]
         if self.failure:
-            parts.append(f"left its domain after {self.time:.2f} s: {self.failure}")
+            reason = self.failure.removeprefix("the arm left its domain: ")
+            parts.append(f"left its domain after {self.time:.2f} s: {reason}")
         return f"seed {self.seed}: {', '.join(parts)}"

@@ -82,7 +82,8 @@ def load_trained(agent: str, target: str) -> Policy:
     """
     known = trained_agents()
     if (agent, target) not in known:
-        raise ValueError(f"agent, target = {agent!r}, {target!r}: expected one of {sorted(known)}")
+        names = ", ".join("/".join(key) for key in sorted(known))
+        raise ValueError(f"agent, target = {agent!r}, {target!r}: expected one of {names}")
     return load_policy(known[agent, target])
 
 
