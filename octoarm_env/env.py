@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, Literal, SupportsFloat
 
 import gymnasium as gym
@@ -95,7 +96,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
     | `action_change_weight` | `0.01`        | see Rewards                                              |
-    | `render_mode`          | `None`        | `"rgb_array"`, `"human"` or `"rgb_array_list"`, see Rendering |
+    | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering |
     | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
     | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
     | `camera`               | `None`        | a `rendering.Camera`, or `"perspective"` (default), `"front"`, `"side"`, `"top"`, `"base"` |
@@ -111,7 +112,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
 
     ## Rendering
     With `render_mode="rgb_array"`, `render()` gives the arm in three dimensions as an array
-    (height, width, 3), uint8; no display is needed. With `"human"` every step is shown in a window,
+    (height, width, 3), uint8; no display is needed (`gym.make` takes `"rgb_array_list"` too). With `"human"` every step is shown in a window,
     in the time that it takes (drag: around the arm, wheel: zoom, h: keys; where the window is
     closed the arm goes on unseen). Both need pygame-ce, `pip install "octoarm-env[render]"`, and
     neither changes a bit of the simulation. `metadata["render_fps"]` is one frame a step.
@@ -269,7 +270,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
 
     @property
     def _subject(self) -> Subject:
-        return Subject(self._core.joints, self._core.orbit, self._core.action_range)
+        return Subject(self._core.joints, lambda: (self.orbit, self.action_range))
 
     def _show(self, history: History, *, again: bool = False) -> None:
         if self.render_mode == "human":
@@ -279,6 +280,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         state = self.__dict__.copy()
         core = state.pop("_core")
         state["_saved"] = (core.config, core.save())
+        # A shallow copy, too, has a core, and with it a past, of its own.
+        for name in ("_history", "_pictures"):
+            state[name] = copy.deepcopy(state[name])
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import operator
 from collections.abc import Callable, Iterable, Sequence
@@ -41,10 +42,12 @@ class VectorSnapshot:
     Attributes:
         episodes: the episodes' states as JSON text, exact to the bit.
         seeds: the seeds that the environments were last given.
+        past: what the pictures show of the past; None without a render mode.
     """
 
     episodes: str = dataclasses.field(repr=False)
     seeds: tuple[int | None, ...]
+    past: tuple[BatchHistory, Flags] | None = dataclasses.field(default=None, repr=False)
 
 
 class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[Any]]):
@@ -143,6 +146,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
         self._pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
+        self._control_period = control_period
         self._history: BatchHistory | None = None
         if render_mode is not None:
             self._history = BatchHistory(control_period, self.num_envs)
@@ -228,7 +232,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
 
     def snapshot(self) -> VectorSnapshot:
         """Save the whole batch, to go on from here later."""
-        return VectorSnapshot(self._core.save(), tuple(self._seeds))
+        past = None if self._history is None else (copy.deepcopy(self._history), self._over.copy())
+        return VectorSnapshot(self._core.save(), tuple(self._seeds), past)
 
     def restore(self, snapshot: VectorSnapshot) -> None:
         """Go on exactly where a batch with the same arguments was saved.
@@ -243,9 +248,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self._core.load(snapshot.episodes)
         self._seeds = list(snapshot.seeds)
         if self._history is not None:
-            every = np.ones(self.num_envs, dtype=np.bool_)
-            self._history.begin(every, self._core.infos())
-            self._over = ~every
+            self._history, self._over = copy.deepcopy(snapshot.past) or self._no_past()
 
     def teacher_actions(self) -> Float:
         """Give the lead-compensated clocks' actions now, (N, 2); they depend on the time alone."""
@@ -355,11 +358,18 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self._pictures.close()
 
     def _frame(self, history: BatchHistory, index: int) -> NDArray[np.uint8]:
-        core = self._core
-        subject = Subject(
-            core.joints(index), core.orbit_tables[index], core.action_ranges[index].item()
-        )
+        def task() -> tuple[Float, float]:
+            return self._core.orbit_tables[index], self._core.action_ranges[index].item()
+
+        subject = Subject(self._core.joints(index), task)
         return self._pictures.frame(index, history.of(index), subject)
+
+    def _no_past(self) -> tuple[BatchHistory, Flags]:
+        """A past that begins now, and which episodes have ended."""
+        history = BatchHistory(self._control_period, self.num_envs)
+        every = np.ones(self.num_envs, dtype=np.bool_)
+        history.begin(every, self._core.infos())
+        return history, np.array(self._core.ended)
 
     def _keep(
         self,
@@ -408,6 +418,9 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
         state["_core"] = state["_core"].save()
+        # A shallow copy, too, has a core, and with it a past, of its own.
+        for name in ("_history", "_pictures", "_over"):
+            state[name] = copy.deepcopy(state[name])
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -20,7 +20,8 @@ TARGETS = ["quadratic", "van_der_pol", "lissajous"]
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("actuator", ["servo", "direct"])
-def test_gymnasium_s_checker(target: str, actuator: str) -> None:
+def test_gymnasium_s_checker(target: str, actuator: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # it opens windows
     check_env(gym.make("OctoArm-v0", target=target, actuator=actuator).unwrapped)
 
 

@@ -57,6 +57,34 @@ def make_renderer(env, parameters=None, **arguments):
     )
 
 
+def check_stage(env, driven, steps=200, camera=None):
+    """The arm and all that belongs to it stay in the picture, and above the seabed."""
+    _, info = env.reset(seed=0)
+    history = History(0.01)
+    history.begin(info)
+    parameters = ArmParameters.from_dict(json.loads(env._core.config)["arm"])
+    renderer = make_renderer(env, parameters, camera=camera or env._pictures._camera)
+    view, random, stage = renderer._look(), np.random.default_rng(0), renderer._stage
+    width, height = renderer._canvas.get_size()
+    room = height - renderer._panels.bottom * renderer._fine
+    for step in range(steps):
+        action = {
+            "clock": env.teacher_action(),
+            "random": random.uniform(-1, 1, 2),
+            "bang": np.sign([np.sin(0.1 * step), np.cos(0.1 * step)]),
+        }[driven]
+        *_, terminated, _, info = env.step(action.astype(np.float32))
+        skin = mesh.skin(env.arm_joints).reshape(-1, 3)
+        end = renderer._body._pointed(info["base_angles"][np.newaxis])
+        pixels, _ = view.project(np.concatenate((skin, renderer._body.path, end)))
+        assert pixels.min() >= 4
+        assert pixels[:, 0].max() <= width - 4
+        assert pixels[:, 1].max() <= room
+        assert (skin @ stage.up).min() > stage.floor
+        if terminated:
+            break
+
+
 class TestFrames:
     def test_a_frame_is_an_array_of_its_own(self):
         env = make(width=200, height=120)
@@ -162,40 +190,35 @@ class TestContents:
     def test_nothing_is_clipped(self, camera, driven):
         """Arm, pointer and target stay inside the picture, and above the strains."""
         env = make(camera=camera, target="lissajous")
-        env.reset(seed=0)
-        env.render()
-        renderer = next(iter(env._pictures._renderers.values()))
-        view, random = renderer._look(), np.random.default_rng(0)
-        path = renderer._body.path
-        width, height = renderer._canvas.get_size()
-        room = height - renderer._panels.bottom * renderer._fine
-        for step in range(200):
-            action = {
-                "clock": env.teacher_action(),
-                "random": random.uniform(-1, 1, 2),
-                "bang": np.sign([np.sin(0.1 * step), np.cos(0.1 * step)]),
-            }[driven]
-            env.step(action.astype(np.float32))
-            points = np.concatenate((mesh.skin(env.arm_joints).reshape(-1, 3), path))
-            pixels, _ = view.project(points)
-            assert pixels.min() >= 4
-            assert pixels[:, 0].max() <= width - 4
-            assert pixels[:, 1].max() <= room
+        check_stage(env, driven)
 
     @pytest.mark.parametrize(
-        "gravity", [(0.0, 0.0, 9.81), (0.0, 0.0, -9.81), (9.81, 0.0, 0.0), (0.0, 0.0, 0.0)]
+        "body",
+        [
+            {"compartments": 1},
+            {"compartments": 2},
+            {"compartments": 4},
+            {"compartments": 60},
+            {"gravity": (0.0, 0.0, -9.81)},
+            {"gravity": (9.0, 0.0, 0.0)},
+            {"gravity": (0.0, 6.0, 4.0)},
+            {"gravity": (0.0, 0.0, 0.0)},
+            {"base_radius": 0.005, "tip_radius": 0.03},
+        ],
+        ids=str,
     )
-    def test_whatever_hangs_stands_or_floats_is_seen(self, gravity):
-        parameters = ArmParameters(gravity=gravity, compartments=9)
-        env = make()
-        renderer = make_renderer(env, parameters, overlay=False)
-        length = 9 * parameters.rest_length
-        pixels, depth = renderer._look().project(np.array([[0, 0, 0], [0, 0, length]]))
-        width, height = renderer._canvas.get_size()
-        assert np.all((pixels > 0) & (pixels < (width, height)))
-        assert np.all(depth > 0)
-        if gravity[2]:
-            assert (pixels[1, 1] > pixels[0, 1]) == (gravity[2] > 0)
+    def test_nothing_of_any_body_is_clipped(self, body):
+        """However many compartments it has, and whether it hangs, stands, sags or floats."""
+        env = make(arm=ArmParameters(**body))
+        for azimuth in (0.0, 60.0, 90.0, 180.0):
+            check_stage(env, "random", 40, Camera(azimuth=azimuth, elevation=10.0))
+
+    def test_a_standing_arm_stands(self):
+        for gravity, sign in ((9.81, 1), (-9.81, -1)):
+            parameters = ArmParameters(gravity=(0.0, 0.0, gravity), compartments=9)
+            renderer = make_renderer(make(), parameters, overlay=False)
+            pixels, _ = renderer._look().project(np.array([[0, 0, 0], [0, 0, 0.18]]))
+            assert sign * (pixels[1, 1] - pixels[0, 1]) > 100
 
     @pytest.mark.parametrize("size", [(288, 216), (320, 240), (640, 480), (480, 640), (1280, 720)])
     def test_texts_are_inside_and_do_not_touch(self, size):
@@ -231,6 +254,13 @@ class TestContents:
         assert not any("domain" in text for text, _ in renderer._lines(history))
         history.add(info | {"failure": "height of compartment 1"}, 0.0)
         assert any("left its domain" in text for text, _ in renderer._lines(history))
+
+    def test_what_disturbs_is_said(self):
+        env = make()
+        play(env, 5)
+        env._history.disturbances = ("pushed",)
+        renderer = make_renderer(env)
+        assert ("pushed", (255, 120, 100)) in renderer._lines(env._history)
 
     def test_an_exaggeration_is_said(self):
         env = make()
@@ -380,6 +410,15 @@ class TestGymnasium:
         assert pygame.display.get_init()
         env.close()
 
+    def test_a_shallow_copy_has_its_own_past(self):
+        env = make(width=320, height=240)
+        play(env, 20)
+        expected = env.render()
+        twin = copy.copy(env)
+        twin.step(np.zeros(2, np.float32))
+        assert twin._history.steps == 21
+        assert np.array_equal(env.render(), expected)
+
     def test_pickle_and_deepcopy(self):
         env = make(width=320, height=240)
         play(env, 20)
@@ -389,11 +428,34 @@ class TestGymnasium:
             twin.step(np.zeros(2, np.float32))
             assert not np.array_equal(twin.render(), expected)
 
+    def test_a_window_that_is_nowhere_is_told(self, monkeypatch, capsys):
+        """As SDL opens where it finds no display; the arm goes on."""
+        monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
+        env = make(render_mode="human", width=64, height=48)
+        env.reset(seed=0)
+        assert "no display was found" in capsys.readouterr().err
+        env.step(np.zeros(2, np.float32))
+        env.close()
+
+    def test_another_window_takes_the_place(self):
+        first, second = (make(render_mode="human", width=64, height=48) for _ in range(2))
+        first.reset(seed=0)
+        second.reset(seed=0)
+        zeros = np.zeros(2, np.float32)
+        with pytest.warns(UserWarning, match="another one opened"):
+            first.step(zeros)
+        first.close()
+        assert pygame.display.get_init()
+        second.step(zeros)
+        assert not second._pictures._window.closed
+        second.close()
+        assert not pygame.display.get_init()
+
     def test_a_missing_extra_names_the_command(self, monkeypatch):
         for name in ("toolkit", "renderer", "panels", "water", "window"):
             monkeypatch.delitem(sys.modules, f"octoarm_env.rendering.{name}", raising=False)
         monkeypatch.setitem(sys.modules, "pygame", None)
-        words = r"pip install 'octoarm-env\[render\]'"
+        words = r'pip install "octoarm-env\[render\]"'
         env = OctoArmEnv(render_mode="rgb_array")
         env.reset(seed=0)
         with pytest.raises(DependencyNotInstalled, match=words):
@@ -514,12 +576,16 @@ class TestVectorEnv:
         assert np.array_equal(called[0], frames[2])
         assert np.array_equal(called[1], frames[0])
 
-    def test_more_arms_than_renderers_are_kept(self):
+    def test_more_arms_than_renderers_are_kept(self, monkeypatch):
         bodies = [ArmParameters(arm_density=1200.0 + 10 * index) for index in range(6)]
         envs = OctoArmVectorEnv(6, arm=bodies, render_mode="rgb_array", width=64, height=48)
         envs.reset(seed=0)
         frames = envs.render()
-        assert len(envs._pictures._renderers) == 4
+        assert len(envs._pictures._renderers) == 6
+        envs._pictures.close()
+        monkeypatch.setattr("octoarm_env.rendering.pictures._MEMORY", 3 * 4 * 128 * 96)
+        envs.render()
+        assert len(envs._pictures._renderers) == 3
         assert all(np.array_equal(a, b) for a, b in zip(frames, envs.render(), strict=True))
         envs.close()
 
@@ -534,18 +600,33 @@ class TestVectorEnv:
             assert all(np.array_equal(a, b) for a, b in zip(frames, twin.render(), strict=True))
         envs.step(zeros)
         envs.restore(snapshot)
-        # What was before the snapshot is not in it: base, target and arm are there.
-        history = envs._history.of(1)
-        assert history.steps == 0
-        assert len(history.trace) == 1
-        twin = OctoArmVectorEnv(2, render_mode=None)
-        twin.reset(seed=0)
+        assert all(np.array_equal(a, b) for a, b in zip(frames, envs.render(), strict=True))
+        envs.step(zeros)
+        envs.restore(snapshot)
+        assert all(np.array_equal(a, b) for a, b in zip(frames, envs.render(), strict=True))
+
+    @pytest.mark.parametrize("past", [True, False])
+    def test_a_restored_end_is_an_end(self, past):
+        """The step after it begins an episode, in the pictures too."""
+        mode = "rgb_array" if past else None
+        envs = OctoArmVectorEnv(2, render_mode=mode, max_episode_steps=5)
+        twin = OctoArmVectorEnv(
+            2, render_mode="rgb_array", width=64, height=48, max_episode_steps=5
+        )
+        zeros = np.zeros((2, 2), np.float32)
+        envs.reset(seed=0)
         for _ in range(5):
-            *_, infos = twin.step(zeros)
-        assert np.array_equal(history.trace[0], infos["base_angles"][1])
+            *_, infos = envs.step(zeros)
+        twin.reset(seed=9)
+        twin.restore(envs.snapshot())
+        history = twin._history.of(1)
+        assert np.array_equal(history.trace[-1], infos["base_angles"][1])
         assert np.array_equal(history.target, infos["target"][1])
         assert history.tracking_error == infos["tracking_error"][1]
-        assert len(envs.render()) == 2
+        assert history.steps == (5 if past else 0)
+        twin.step(zeros)
+        assert (twin._history.of(1).steps, len(twin._history.of(1).trace)) == (0, 1)
+        assert len(twin.render()) == 2
 
     def test_without_a_mode(self):
         envs = OctoArmVectorEnv(2)
@@ -688,10 +769,11 @@ class TestMesh:
         assert np.all(((corners.mean(axis=1) - middles) * normals).sum(axis=1) > 0)
 
     def test_exaggeration_moves_sideways_alone(self, env):
-        up = np.array([0.0, 0.0, -1.0])
+        rest = np.zeros((21, 3))
+        rest[:, 2] = np.linspace(0.0, 0.4, 21)
         joints = env.arm_joints
-        assert mesh.exaggerate(joints, up, 1.0) is joints
-        moved = mesh.exaggerate(joints, up, 3.0)
+        assert mesh.exaggerate(joints, rest, 1.0) is joints
+        moved = mesh.exaggerate(joints, rest, 3.0)
         centres = mesh.centres(joints)
         expected = centres * [3.0, 3.0, 1.0]
         np.testing.assert_allclose(mesh.centres(moved), expected, atol=1e-14)

@@ -230,7 +230,9 @@ class EpisodeLog:
                 _about(episode, title, self._push, self._noise), media_type=rr.MediaType.MARKDOWN
             ),
         )
-        log("world", rr.ViewCoordinates.RIGHT_HAND_Z_DOWN)
+        stands = body.gravity[2] < 0
+        coordinates = rr.ViewCoordinates
+        log("world", coordinates.RIGHT_HAND_Z_UP if stands else coordinates.RIGHT_HAND_Z_DOWN)
         log(
             "world/arm/skin",
             rr.Mesh3D.from_fields(

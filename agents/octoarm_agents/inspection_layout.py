@@ -52,7 +52,7 @@ def layout(episode: Episode) -> rrb.Blueprint:
             kind=rrb.Eye3DKind.Orbital,
             position=[0.45 * length, 1.25 * length, 0.15 * length],
             look_target=[0.0, 0.0, 0.4 * length],
-            eye_up=[0.0, 0.0, -1.0],
+            eye_up=[0.0, 0.0, 1.0 if body.gravity[2] < 0 else -1.0],
         ),
     )
     strain = rrb.Spatial2DView(

@@ -61,7 +61,7 @@ _GIF = [
 
 def default_fps(path: Path) -> float:
     """Frames of a second of a film: 50, and 25 of a GIF, whose times are in hundredths."""
-    return 25.0 if path.suffix == ".gif" else 50.0
+    return 25.0 if path.suffix.lower() == ".gif" else 50.0
 
 
 def longest_gif(size: tuple[int, int]) -> int:
@@ -132,9 +132,9 @@ def open_film(path: Path, size: tuple[int, int], fps: float) -> Iterator[Film]:
     """
     import imageio_ffmpeg
 
-    if path.suffix not in FORMATS:
+    if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path}: expected a file name that ends in {' or '.join(FORMATS)}")
-    moving = path.suffix == ".mp4"
+    moving = path.suffix.lower() == ".mp4"
     if moving and (size[0] % 2 or size[1] % 2):
         raise ValueError(f"size = {size[0]}×{size[1]}: H.264 needs an even width and height")
     if not moving and fps > FASTEST_GIF:
@@ -216,6 +216,7 @@ def film_episode(
     history.begin(episode.info)
     for shown in frame_steps(episode.steps, episode.period, fps, speed).tolist():
         while episode.steps_made < shown and not episode.ended:
+            history.disturbances = episode.disturbances
             episode.step()
             history.add(episode.info, episode.reward)
             if progress is not None:
@@ -247,6 +248,7 @@ def picture_end(
     history = History(episode.period)
     history.begin(episode.info)
     while not episode.ended:
+        history.disturbances = episode.disturbances
         episode.step()
         history.add(episode.info, episode.reward)
         if progress is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_env.arm import Arm
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.camera import Stage, View
@@ -18,7 +19,7 @@ from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import HAZE, draw_shadow
 
-__all__ = ["Body", "stage_of"]
+__all__ = ["Body"]
 
 Float = NDArray[np.float64]
 Pieces = list[tuple[Any, ...]]
@@ -26,8 +27,12 @@ Pieces = list[tuple[Any, ...]]
 
 _METAL = np.array([168.0, 178.0, 186.0])
 _RING: Colour = (120, 150, 164)
-_POINTER = 0.2
-"""Length of the base's pointer as a share of the arm's."""
+_RING_RADIUS = 2.3
+"""Of the ring around the base, as a share of the arm's base radius."""
+_POINTER = (0.2, 3.0)
+"""Least lengths of the base's pointer as shares of the arm's length and base radius."""
+_ROOM = 1.08
+"""Radius of what is seen as a share of what an arm at rest needs: it swings, and grows longer."""
 _PLATE = (1.55, 0.5)
 """Radius and thickness of the plate as shares of the arm's base radius."""
 _TRACE_PIECES = 100
@@ -41,20 +46,26 @@ class Body:
     Args:
         parameters: the arm.
         orbit: the target, (K, 2) [degrees].
+        action_range: largest angle of the base [degrees].
         fine: pixels of the canvas for one of the picture; springs and rims are not thinner.
     """
 
-    def __init__(self, parameters: ArmParameters, orbit: Float, fine: int) -> None:
-        self._fine = fine
-        self._parameters, self._stage = parameters, stage_of(parameters)
+    def __init__(
+        self, parameters: ArmParameters, orbit: Float, action_range: float, fine: int
+    ) -> None:
+        self._parameters, self._fine = parameters, fine
         count = parameters.compartments
         rows = np.arange(count + 3) % 2
         rows[count:] = rows[count - 1]
         self._flesh = np.repeat(np.array(FLESH, dtype=np.float64)[rows], mesh.SIDES, axis=0)
-        self._pointer = _POINTER * parameters.rest_length * count
+        length = parameters.rest_length * count
+        self._pointer = max(_POINTER[0] * length, _POINTER[1] * parameters.base_radius)
         step = max(1, len(orbit) // _ORBIT_PIECES)
         self.path = self._pointed(np.concatenate((orbit[::step], orbit[:1])))
         """Where the end of the pointer is to pass, (n, 3) [m]."""
+        at_rest = _at_rest(parameters)
+        self._rest = mesh.centres(at_rest)
+        self.stage = self._stage(at_rest, action_range)
         self._view: View | None = None
         self._standing: Pieces = []
 
@@ -72,9 +83,9 @@ class Body:
         """
         if view is not self._view:
             self._view, self._standing = view, self._what_stands(view)
-        joints = mesh.exaggerate(joints, self._stage.up, factor)
+        joints = mesh.exaggerate(joints, self._rest, factor)
         rings = mesh.skin(joints)
-        draw_shadow(canvas, view, self._stage, rings[::2, ::2])
+        draw_shadow(canvas, view, self.stage, rings[::2, ::2])
         trace = history.trace
         points = self._pointed(trace[:: -max(1, len(trace) // _TRACE_PIECES)][::-1])
         pieces = self._solids(view, rings, points[-1])
@@ -118,7 +129,7 @@ class Body:
         seen = ((view.origin - middles) * normals).sum(axis=1) > 0
         corners, normals, colours = corners[seen], normals[seen], colours[seen]
         pixels, depth = view.project(corners)
-        light = 0.8 * self._stage.up + 0.45 * view.back - 0.4 * view.right
+        light = 0.8 * self.stage.up + 0.45 * view.back - 0.4 * view.right
         light /= np.linalg.norm(light)
         shaded = mesh.lit(colours, normals, light, view.back, HAZE)
         depths = depth.mean(axis=1)
@@ -151,15 +162,33 @@ class Body:
 
     def _what_stands(self, view: View) -> Pieces:
         """The ring that does not lean, and the curve to be followed."""
-        ring = mesh.tube(
-            np.zeros(3), self._stage.up, (2.3 * self._parameters.base_radius, 1.0), 48
-        )[0]
-        ring = np.concatenate((ring, ring[:1]))
+        ring = self._ring()
         wide = _thin(view)
         return [
             *self._line(view, ring, [_RING] * (len(ring) - 1), wide),
             *self._line(view, self.path, [ORBIT] * (len(self.path) - 1), wide),
         ]
+
+    def _ring(self) -> Float:
+        """The edge of the plate when it does not lean, only wider, (n, 3) [m]."""
+        axis, radius = np.array([0.0, 0.0, 1.0]), _RING_RADIUS * self._parameters.base_radius
+        ring = mesh.tube(np.zeros(3), axis, (radius, 1.0), 48)[0]
+        return np.concatenate((ring, ring[:1]))
+
+    def _stage(self, at_rest: Float, action_range: float) -> Stage:
+        """Give what must be in the picture: arm, ring, and the pointer wherever it leans."""
+        gravity = np.array(self._parameters.gravity, dtype=np.float64)
+        strength = float(np.linalg.norm(gravity))
+        up = -gravity / strength if strength > 0 else np.array([0.0, 0.0, -1.0])
+        turns = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+        leaning = action_range * np.stack((np.cos(turns), np.sin(turns)), axis=1)
+        ends = 1.1 * self._pointed(np.concatenate((leaning, np.zeros((1, 2)))))
+        skin = mesh.skin(at_rest).reshape(-1, 3)
+        points = np.concatenate((skin, self._ring(), ends, self.path))
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = _ROOM * float(np.linalg.norm(points - middle, axis=1).max())
+        floor = float((np.concatenate((skin, ends)) @ up).min()) - 0.2 * radius
+        return Stage(up, ends[-1], self._rest[-1], middle, radius, floor)
 
     def _past(self, view: View, points: Float) -> Pieces:
         """Where the end of the pointer was, in front of the curve, the newest last."""
@@ -194,18 +223,12 @@ class Body:
         pygame.draw.circle(canvas, TARGET, tuple(pixels[1]), 1.6 * radius, rim)
 
 
-def stage_of(parameters: ArmParameters) -> Stage:
-    """Give what must be in the picture of an arm, and which way is up."""
-    gravity = np.array(parameters.gravity, dtype=np.float64)
-    strength = float(np.linalg.norm(gravity))
-    up = -gravity / strength if strength > 0 else np.array([0.0, 0.0, -1.0])
-    length = parameters.rest_length * parameters.compartments
-    axis = np.array([0.0, 0.0, 1.0])
-    top = -(_POINTER + 0.02) * length * axis
-    tip = length * axis
-    middle = 0.5 * (top + tip)
-    low = min(float(top @ up), float(tip @ up), float(middle @ up) - 0.5 * length)
-    return Stage(up, top, tip, low - 0.06 * length)
+def _at_rest(parameters: ArmParameters) -> Float:
+    """Joints of the arm in static equilibrium; of one that has none, with its springs at rest."""
+    try:
+        return Arm(parameters).joints
+    except ValueError:
+        return Arm(parameters, undeformed=True).joints
 
 
 def _thin(view: View) -> int:

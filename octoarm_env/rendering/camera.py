@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CAMERAS", "Camera", "Stage", "View", "find_camera", "picture_size"]
+__all__ = ["CAMERAS", "LARGEST", "Camera", "Stage", "View", "find_camera", "picture_size"]
 
 Float = NDArray[np.float64]
 
 _FIELD_OF_VIEW = 30.0
 """Angle between the upper and the lower edge of the stage [degrees]."""
 
-_LARGEST = 4096
+LARGEST = 4096
 """Longest side of a picture [pixels]."""
 
 _RANGES = {
@@ -83,7 +83,8 @@ CAMERAS: dict[str, Camera] = {
     "top": Camera(azimuth=90.0, elevation=80.0),
     "base": Camera(zoom=3.0, focus=0.08),
 }
-"""Cameras by name: x runs to the right in "front" and "top", y to the right in "side"."""
+"""Cameras by name. Of an arm that hangs: x runs to the right in "front" and "top", y to the right
+in "side"."""
 
 
 def find_camera(value: Any) -> Camera:
@@ -117,8 +118,8 @@ def picture_size(width: Any, height: Any) -> tuple[int, int]:
             number = -1
         if isinstance(value, bool) or number == -1:
             raise TypeError(f"{name} = {value!r}: expected a whole number of pixels")
-        if not 16 <= number <= _LARGEST:
-            raise ValueError(f"{name} = {value}: expected 16 to {_LARGEST} pixels")
+        if not 16 <= number <= LARGEST:
+            raise ValueError(f"{name} = {value}: expected 16 to {LARGEST} pixels")
     return operator.index(width), operator.index(height)
 
 
@@ -130,22 +131,21 @@ class Stage:
         up: away from gravity, (3,).
         top: the end of the base's pointer, (3,) [m].
         tip: of the arm at rest, (3,) [m].
+        middle: of the ball that holds all, (3,) [m].
+        radius: of that ball, which is seen at a zoom of 1 [m].
         floor: height of the seabed above the base, along `up` [m].
     """
 
     up: Float
     top: Float
     tip: Float
+    middle: Float
+    radius: float
     floor: float
-
-    @property
-    def radius(self) -> float:
-        """Of the ball around the middle that is seen at a zoom of 1 [m]."""
-        return 0.54 * float(np.linalg.norm(self.tip - self.top))
 
     def at(self, focus: float) -> Float:
         """Give the point in the middle of the picture."""
-        point: Float = self.top + focus * (self.tip - self.top)
+        point: Float = self.middle + (focus - 0.5) * (self.tip - self.top)
         return point
 
 

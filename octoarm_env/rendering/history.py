@@ -34,9 +34,11 @@ class History:
         target: θ and φ of the target now [degrees].
         tracking_error: distance of the base from it now [degrees].
         failure: why the episode ended, if the arm left its domain; else empty.
+        disturbances: what disturbs the arm now, in words.
     """
 
     def __init__(self, control_period: float) -> None:
+        self.disturbances: tuple[str, ...] = ()
         self.control_period = control_period
         self._trace: deque[Float] = deque(maxlen=_length(control_period))
         self.steps, self.total = 0, 0.0

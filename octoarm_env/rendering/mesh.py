@@ -43,13 +43,20 @@ def centres(joints: Float) -> Float:
     return points
 
 
-def exaggerate(joints: Float, up: Float, factor: float) -> Float:
-    """Move every plane `factor` times as far to the side of the base as it is."""
+def exaggerate(joints: Float, rest: Float, factor: float) -> Float:
+    """Move every plane `factor` times as far to the side of the arm at rest as it is.
+
+    Args:
+        joints: ends of the struts, (N + 1, 4, 3).
+        rest: the planes' centres at rest, (N + 1, 3).
+        factor: 1 changes nothing.
+    """
     if factor == 1.0:
         return joints
-    middles = centres(joints)
-    way = middles - middles[0]
-    sideways = way - (way @ up)[:, np.newaxis] * up
+    along = np.gradient(rest, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    way = centres(joints) - rest
+    sideways = way - (way * along).sum(axis=1, keepdims=True) * along
     moved: Float = joints + (factor - 1.0) * sideways[:, np.newaxis, :]
     return moved
 

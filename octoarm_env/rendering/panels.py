@@ -277,6 +277,7 @@ def status_lines(title: str, history: History, notes: Sequence[str]) -> list[tup
     lines.append((f"error {history.tracking_error:.2f}°", _TEXT))
     if history.steps:
         lines.append((f"return {history.total:.1f} of {history.steps}", _TEXT))
+    lines += [(each, _ALARM) for each in history.disturbances]
     if history.failure:
         lines.append(("left its domain", _ALARM))
     lines += [(note, _FAINT) for note in notes]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
@@ -17,15 +18,15 @@ from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
-    from octoarm_env.rendering.renderer import Renderer
+    from octoarm_env.rendering.renderer import Renderer, Sheet
     from octoarm_env.rendering.window import Window
 
 __all__ = ["Pictures", "Subject", "render_fps", "warn_without_mode"]
 
 Float = NDArray[np.float64]
 
-_RENDERERS = 4
-"""How many renderers of different arms and targets are kept at once."""
+_MEMORY = 256_000_000
+"""Bytes that the renderers of different arms and targets may take; those used last are kept."""
 
 
 def render_fps(control_period: float) -> float:
@@ -47,13 +48,11 @@ class Subject(NamedTuple):
 
     Attributes:
         joints: `OctoArmEnv.arm_joints`, (N + 1, 4, 3) [m].
-        orbit: the target, (K, 2) [degrees].
-        action_range: degrees of base rotation at an action of 1.
+        task: gives the target (K, 2) and the base rotation at an action of 1 [degrees]; asked once.
     """
 
     joints: Float
-    orbit: Float
-    action_range: float
+    task: Callable[[], tuple[Float, float]]
 
 
 class Pictures:
@@ -90,6 +89,7 @@ class Pictures:
         self._size, self._camera = picture_size(width, height), find_camera(camera)
         self._overlay, self._settings = bool(overlay), settings
         self._renderers: OrderedDict[str, Renderer] = OrderedDict()
+        self._sheet: Sheet | None = None
         self._window: Window | None = None
         self._warned = False
 
@@ -120,16 +120,25 @@ class Pictures:
             gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as `frame`.
             octoarm_env.rendering.window.WindowError: there is no display.
         """
-        from octoarm_env.rendering.window import Window
+        from octoarm_env.rendering.window import WITHOUT_DISPLAY, Window
 
         _check_begun(history)
         if self._window is None or self._window.lost:
             renderer = self._renderer(0, subject)
             self._window = Window(renderer, "OctoArm-v0", history.control_period)
+            if not self._window.seen:
+                # Not a warning, which checkers of environments may take for an error.
+                print(
+                    f"The window is nowhere, no display was found. {WITHOUT_DISPLAY}.",
+                    file=sys.stderr,
+                )
         self._window.show(subject.joints, history, again=again)
         if self._window.closed and not self._warned:
             self._warned = True
-            gym.logger.warn("The window was closed: the arm goes on unseen, as fast as it can.")
+            gym.logger.warn(
+                "The window was closed, or another one opened: the arm goes on unseen, "
+                "as fast as it can."
+            )
 
     def close(self) -> None:
         """Close the window, and let go of what drew."""
@@ -137,31 +146,35 @@ class Pictures:
             self._window.close()
             self._window = None
         self._renderers.clear()
+        self._sheet = None
 
     def _renderer(self, index: int, subject: Subject) -> Renderer:
-        from octoarm_env.rendering.renderer import Renderer
+        from octoarm_env.rendering.renderer import Renderer, Sheet
 
+        if self._sheet is None:
+            self._sheet = Sheet(self._size)
         text = self._settings[index]
         if text not in self._renderers:
             settings = json.loads(text)
             target = settings["target"]
             self._renderers[text] = Renderer(
                 ArmParameters.from_dict(settings["arm"]),
-                subject.orbit,
-                subject.action_range,
+                *subject.task(),
                 target if isinstance(target, str) else "own target",
                 size=self._size,
                 camera=self._camera,
                 overlay=self._overlay,
+                sheet=self._sheet,
             )
-            if len(self._renderers) > _RENDERERS:
+            kept = max(1, _MEMORY // self._renderers[text].memory)
+            while len(self._renderers) > kept:
                 self._renderers.popitem(last=False)
         self._renderers.move_to_end(text)
         return self._renderers[text]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what draws, which is made anew when it is needed."""
-        return self.__dict__ | {"_renderers": OrderedDict(), "_window": None}
+        return self.__dict__ | {"_renderers": OrderedDict(), "_sheet": None, "_window": None}
 
 
 def _check_begun(history: History) -> None:

@@ -8,20 +8,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_env.parameters import ArmParameters
-from octoarm_env.rendering.body import Body, stage_of
+from octoarm_env.rendering.body import Body
 from octoarm_env.rendering.camera import Camera, View, find_camera, picture_size
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.panels import Panels, status_lines
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import draw_water
 
-__all__ = ["Renderer"]
+__all__ = ["Renderer", "Sheet"]
 
 Float = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 
 _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""
+
+
+class Sheet:
+    """What is drawn on: surfaces that every picture is drawn on anew.
+
+    Args:
+        size: of the pictures, (width, height) [pixels].
+
+    Attributes:
+        fine: pixels of the canvas for one of the picture, across.
+        canvas: for shapes.
+        picture: the finished picture.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.fine = 2 if max(size) <= _FINEST else 1
+        self.canvas = pygame.Surface((size[0] * self.fine, size[1] * self.fine), depth=32)
+        self.picture = pygame.Surface(size, depth=32)
 
 
 class Renderer:
@@ -40,6 +58,7 @@ class Renderer:
         camera: from where, a `Camera` or a name in `CAMERAS`; it may be changed.
         overlay: figures, phase portrait and strains as well; there must be room for them, 288×216
             at least.
+        sheet: to draw on, of that size; renderers that do not draw at once may share one.
 
     A picture depends on the arguments of `draw` and the camera alone. It needs no display.
     """
@@ -54,6 +73,7 @@ class Renderer:
         size: tuple[int, int] = (640, 480),
         camera: Camera | str | None = None,
         overlay: bool = True,
+        sheet: Sheet | None = None,
     ) -> None:
         self.camera = find_camera(camera)
         self.size = picture_size(*size)
@@ -61,13 +81,14 @@ class Renderer:
         self.notes: tuple[str, ...] = ()
         """More lines among the figures."""
         self._parameters, self._orbit, self._range = parameters, orbit, action_range
-        self._fine = 2 if max(self.size) <= _FINEST else 1
-        self._stage, self._body = stage_of(parameters), Body(parameters, orbit, self._fine)
+        self._sheet = sheet or Sheet(self.size)
+        self._fine = self._sheet.fine
+        self._body = Body(parameters, orbit, action_range, self._fine)
+        self._stage = self._body.stage
         count = parameters.compartments
         self._panels = Panels(self.size, self._fine, orbit, 1.06 * action_range, count)
-        self._canvas = self._surface(self._fine)
-        self._water = self._surface(self._fine)
-        self._picture = self._surface(1)
+        self._canvas, self._picture = self._sheet.canvas, self._sheet.picture
+        self._water = self._canvas.copy()
         self._view: View | None = None
         self._drawn_for: tuple[Camera, bool] | None = None
 
@@ -142,8 +163,10 @@ class Renderer:
         notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
         return status_lines(self.title, history, notes)
 
-    def _surface(self, times: int) -> pygame.Surface:
-        return pygame.Surface((self.size[0] * times, self.size[1] * times), depth=32)
+    @property
+    def memory(self) -> int:
+        """Bytes that this takes, the sheet apart."""
+        return self._water.get_pitch() * self._water.get_height()
 
     def _look(self) -> View:
         """Give the view of the camera as it stands now, with the water drawn for it."""

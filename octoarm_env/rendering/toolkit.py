@@ -17,5 +17,5 @@ try:
     import pygame
 except ImportError as error:
     raise PygameMissingError(
-        "rendering needs pygame-ce: pip install 'octoarm-env[render]'"
+        'rendering needs pygame-ce: pip install "octoarm-env[render]"'
     ) from error

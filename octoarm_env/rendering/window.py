@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
+import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_env.rendering.camera import CAMERAS
+from octoarm_env.rendering.camera import CAMERAS, LARGEST
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.renderer import Renderer
 from octoarm_env.rendering.toolkit import pygame
 
-__all__ = ["Window", "WindowError"]
+__all__ = ["WITHOUT_DISPLAY", "Window", "WindowError"]
 
 Float = NDArray[np.float64]
 
@@ -33,6 +34,12 @@ _HELP = (
     "wheel  zoom       r  camera of before",
     "c  next camera    x  exaggerate sideways",
     "o  figures        q  close",
+)
+
+
+WITHOUT_DISPLAY = (
+    'Without a display use render_mode="rgb_array", or the commands octoarm record and '
+    "octoarm watch --view terminal"
 )
 
 
@@ -54,14 +61,20 @@ class Window:
         lead: whether the left button and the arrow keys lead the base; see `lean`.
 
     Attributes:
-        closed: whether the user has closed it; then nothing is shown, and nothing waits.
+        closed: whether the user has closed it, or another has taken its place; then nothing is
+            shown, and nothing waits.
         paused: whether the time stands.
         speed: times real time.
+        seen: whether there is a display that it can be seen on.
         lean: (2,), where the mouse leads the base: to the right and away, a disc of radius 1.
 
     Raises:
         WindowError: there is no display.
+
+    A process has one window at a time: one that is open when another opens counts as closed.
     """
+
+    _open: ClassVar[weakref.ref[Window] | None] = None
 
     def __init__(
         self,
@@ -78,20 +91,21 @@ class Window:
         self.closed = self.paused = self._help = self._one_step = self._stale = False
         self.lean = np.zeros(2)
         self._held: int | None = None
+        self._looked = False
+        other = Window._open() if Window._open is not None else None
+        if other is not None:
+            other.closed = True  # pygame has one window at a time: this is it now
         try:
             pygame.display.init()
-            # Where it finds no display, SDL may open a window that is nowhere.
-            if pygame.display.get_driver() == "offscreen" != os.environ.get("SDL_VIDEODRIVER"):
-                raise pygame.error("no display was found")
             self._screen = pygame.display.set_mode(renderer.size, pygame.RESIZABLE)
         except pygame.error as error:
             pygame.display.quit()
-            raise WindowError(
-                f"no window can be opened: {error}. Without a display use "
-                'render_mode="rgb_array", octoarm record, or octoarm watch --view terminal'
-            ) from None
+            raise WindowError(f"no window can be opened: {error}. {WITHOUT_DISPLAY}") from None
+        # Where it finds no display, SDL may open a window that is nowhere.
+        driver = pygame.display.get_driver()
+        self.seen = driver != "offscreen" or driver == os.environ.get("SDL_VIDEODRIVER")
+        Window._open = weakref.ref(self)
         pygame.display.set_caption(caption)
-        pygame.key.set_repeat(300, 60)
         self._due = self._next_frame = time.monotonic()
 
     @property
@@ -137,11 +151,15 @@ class Window:
             self._due = now
 
     def hold(self, joints: Float, history: History) -> None:
-        """Show an end, which can be looked at from all sides, until a key is pressed."""
+        """Show an end, which can be looked at from all sides, until a key is pressed.
+
+        Those keys that change what is seen do not count.
+        """
         while not self.closed:
-            self._draw(joints, history, "the end; any key closes")
+            self._draw(joints, history, "the end; space closes")
             time.sleep(_FRAME_TIME)
-            if pygame.KEYDOWN in self._react():
+            self._looked = False
+            if pygame.KEYDOWN in self._react() and not self._looked:
                 return
 
     def close(self) -> None:
@@ -154,7 +172,8 @@ class Window:
         state = "paused" if self.paused else f"{self.speed:.3g}×"
         note = note or f"{state}   h: keys"
         self._renderer.notes = (note, *(_HELP if self._help else ()))
-        self._screen.blit(self._renderer.draw(joints, history), (0, 0))
+        picture = self._renderer.draw(joints, history)
+        self._screen.blit(picture, picture.get_rect(center=self._screen.get_rect().center))
         pygame.display.flip()
         self._stale = False
         self._next_frame = time.monotonic() + _FRAME_TIME * 0.9
@@ -198,7 +217,7 @@ class Window:
         self.lean = lean / max(1.0, float(np.hypot(*lean)))
 
     def _resize(self, width: int, height: int) -> None:
-        size = (max(width, _SMALLEST), max(height, _SMALLEST))
+        size = (min(max(width, _SMALLEST), LARGEST), min(max(height, _SMALLEST), LARGEST))
         if size != self._renderer.size:
             self._renderer = self._renderer.resized(*size)
             self._screen = pygame.display.get_surface() or self._screen
@@ -233,10 +252,12 @@ class Window:
             "r": self._restore,
             "x": self._exaggerate,
         }
-        act = actions.get(event.key) or words.get(getattr(event, "unicode", ""))
+        letter = getattr(event, "unicode", "")
+        act = actions.get(event.key) or words.get(letter)
         if act is not None:
             act()
             self._stale = True
+            self._looked = letter in ("c", "h", "o", "r", "x")
 
     def _pause(self) -> None:
         self.paused = not self.paused

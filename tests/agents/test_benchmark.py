@@ -70,7 +70,7 @@ def test_without_peers_the_rest_is_measured(octoarm):
     run = octoarm(*TINY)
     assert run.exit_code == 0, run.output
     assert (
-        "MuJoCo not installed, so left out: pip install 'octoarm-agents[benchmark]'" in run.stdout
+        'MuJoCo not installed, so left out: pip install "octoarm-agents[benchmark]"' in run.stdout
     )
     assert "PyElastica not installed" in run.stdout
     assert names.ARM_SERVO in run.stdout

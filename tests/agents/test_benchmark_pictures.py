@@ -110,7 +110,7 @@ def test_without_pygame_the_extra_is_named(octoarm, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     run = octoarm(*TINY)
     assert run.exit_code == 1
-    assert "pip install 'octoarm-agents[render]'" in run.stderr
+    assert 'pip install "octoarm-agents[render]"' in run.stderr
     assert run.stdout == ""
 
 
@@ -138,7 +138,7 @@ class TestMujoco:
     def test_not_installed(self, monkeypatch):
         monkeypatch.setattr(pictures, "has_mujoco", lambda: False)
         _, left_out, opengl = pictures._make_painters()
-        assert "pip install 'octoarm-agents[benchmark]'" in left_out[pictures.MUJOCO]
+        assert 'pip install "octoarm-agents[benchmark]"' in left_out[pictures.MUJOCO]
         assert opengl is None
 
     def test_without_anything_to_draw_with(self, monkeypatch):

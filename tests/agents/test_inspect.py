@@ -563,7 +563,7 @@ class TestOptions:
         monkeypatch.delattr("octoarm_agents.inspection")
         result = run("hold/quadratic", "--out", tmp_path / "e.rrd")
         assert result.exit_code == 1
-        assert "pip install 'octoarm-agents[inspect]'" in result.stderr
+        assert 'pip install "octoarm-agents[inspect]"' in result.stderr
         assert list(tmp_path.iterdir()) == []
 
     def test_the_help_says_where_it_goes(self):

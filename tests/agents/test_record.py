@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import typer
 from octoarm_agents import recording
+from octoarm_agents.cli import pictures
 from octoarm_agents.cli.actors import find_actor
 from octoarm_agents.cli.record import record
 from octoarm_agents.policies import load_policy
@@ -816,13 +817,21 @@ class TestOptions:
         assert "Traceback" not in result.output
         assert list(tmp_path.iterdir()) == []
 
-    @pytest.mark.parametrize("name", ["film", "film.avi", "film.MP4", ".mp4", "film.mp4.part"])
+    @pytest.mark.parametrize("name", ["film", "film.avi", ".mp4", "film.mp4.part"])
     def test_another_kind_of_file(self, name, tmp_path):
         result = run("hold/quadratic", "--out", tmp_path / name)
         assert result.exit_code == 2
         assert "'--out'" in result.stderr
         assert f"{name} does not end in one of .mp4, .gif, .png" in result.stderr
         assert list(tmp_path.iterdir()) == []
+
+    def test_capital_letters_will_do(self, tmp_path):
+        for name in ("film.MP4", "film.Gif", "film.PNG"):
+            succeed("hold/quadratic", "--out", tmp_path / name, "--steps", 10)
+            assert (tmp_path / name).stat().st_size
+
+    def test_cameras_are_those_of_the_library(self):
+        assert tuple(CAMERAS) == pictures._CAMERAS
 
     def test_no_name(self):
         result = run("hold/quadratic")
@@ -890,7 +899,7 @@ class TestOptions:
         monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
         result = run("hold/quadratic", "--steps", 10, *SMALL, "--out", tmp_path / f"film{suffix}")
         assert result.exit_code == 1
-        assert "pip install 'octoarm-agents[render]'" in result.stderr
+        assert 'pip install "octoarm-agents[render]"' in result.stderr
         assert result.stderr.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
         # A picture needs none.
@@ -903,7 +912,7 @@ class TestOptions:
         monkeypatch.setitem(sys.modules, "pygame", None)
         result = run("hold/quadratic", "--steps", 10, *SMALL, "--out", tmp_path / f"film{suffix}")
         assert result.exit_code == 1
-        assert "pip install 'octoarm-agents[render]'" in result.stderr
+        assert 'pip install "octoarm-agents[render]"' in result.stderr
         assert result.stderr.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
 

@@ -535,6 +535,15 @@ class TestWhere:
         assert result.stderr.count("\n") == 1
         assert not pygame.display.get_init()
 
+    def test_a_display_that_is_gone_leaves_the_terminal(self, monkeypatch):
+        monkeypatch.setenv("SDL_VIDEODRIVER", "nothing")
+        monkeypatch.setenv("DISPLAY", ":77")
+        monkeypatch.setattr(command.sys, "platform", "linux")
+        result = run("hold/quadratic", "--steps", 10)
+        assert result.exit_code == 0
+        assert result.stderr.startswith("no window can be opened: ")
+        assert "╭─ base" in result.stdout
+
     @pytest.mark.parametrize("options", [("hold/quadratic", "--view", "window"), ()])
     def test_the_extra_is_named(self, options, monkeypatch):
         for name in ("toolkit", "renderer", "panels", "water", "window"):
@@ -542,7 +551,7 @@ class TestWhere:
         monkeypatch.setitem(sys.modules, "pygame", None)
         result = run(*options, "--steps", 10)
         assert result.exit_code == 1
-        assert "pip install 'octoarm-agents[render]'" in result.stderr
+        assert 'pip install "octoarm-agents[render]"' in result.stderr
         assert result.stderr.count("\n") == 1
         assert result.stdout == ""
 

@@ -144,7 +144,7 @@ def _import_elastica() -> Any:
         return importlib.import_module("elastica")
     except ImportError as error:
         raise ImportError(
-            "ElasticaRod needs PyElastica: pip install 'octoarm-agents[benchmark]'"
+            'ElasticaRod needs PyElastica: pip install "octoarm-agents[benchmark]"'
         ) from error
 
 

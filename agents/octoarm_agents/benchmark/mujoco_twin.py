@@ -319,7 +319,7 @@ def _import_mujoco() -> Any:
         return importlib.import_module("mujoco")
     except ImportError as error:
         raise ImportError(
-            "MujocoTwin needs MuJoCo: pip install 'octoarm-agents[benchmark]'"
+            'MujocoTwin needs MuJoCo: pip install "octoarm-agents[benchmark]"'
         ) from error
 
 

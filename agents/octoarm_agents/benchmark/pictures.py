@@ -308,7 +308,7 @@ def _make_painters() -> tuple[list[Painter], dict[str, str], str | None]:
     painters.append(_tiles())
     painters += [_peer(name) for name in PEERS]
     if not has_mujoco():
-        return painters, {MUJOCO: "not installed: pip install 'octoarm-agents[benchmark]'"}, None
+        return painters, {MUJOCO: 'not installed: pip install "octoarm-agents[benchmark]"'}, None
     try:
         # What finds no display warns, and fails afterwards.
         with warnings.catch_warnings():

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _Result = TypeVar("_Result")
 
-_MISSING = "{} not installed, so left out: pip install 'octoarm-agents[benchmark]'"
+_MISSING = '{} not installed, so left out: pip install "octoarm-agents[benchmark]"'
 
 
 def benchmark(

@@ -56,7 +56,9 @@ def inspect(
     serve: Annotated[
         bool,
         typer.Option(
-            "--serve", help="Show the recording in a browser instead of writing a file, to Ctrl-C."
+            "--serve",
+            help="Show the recording in a browser instead of writing a file, to Ctrl-C. The "
+            "data are for this machine alone; the viewer's page, without data, is served to all.",
         ),
     ] = False,
     steps: EpisodeSteps = 500,

@@ -90,7 +90,7 @@ def need_extra(name: str) -> Iterator[None]:
         # What names an extra of its own has a plainer error behind it.
         reason = error.__cause__ or error
         typer.echo(
-            f"{reason}. This command needs more packages: pip install 'octoarm-agents[{name}]'",
+            f'{reason}. This command needs more packages: pip install "octoarm-agents[{name}]"',
             err=True,
         )
         raise typer.Exit(1) from None

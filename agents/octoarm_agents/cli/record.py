@@ -79,11 +79,11 @@ def record(
     from octoarm_agents.policies.episode import Episode
 
     actor = find_actor(policy, arm)
-    if out.suffix not in (*recording.FORMATS, ".png"):
+    if out.suffix.lower() not in (*recording.FORMATS, ".png"):
         known = ", ".join((*recording.FORMATS, ".png"))
         raise typer.BadParameter(f"{out} does not end in one of {known}.", param_hint="'--out'")
     rate = recording.default_fps(out) if fps is None else fps
-    if out.suffix == ".gif" and rate > recording.FASTEST_GIF:
+    if out.suffix.lower() == ".gif" and rate > recording.FASTEST_GIF:
         raise typer.BadParameter(
             f"{rate:g} is too fast for a .gif, at most {recording.FASTEST_GIF:g}: choose .mp4.",
             param_hint="'--fps'",
@@ -103,14 +103,14 @@ def record(
                 param_hint="'--out'",
             )
         most = recording.longest_gif(renderer.size)
-        if out.suffix == ".gif" and frames > most:
+        if out.suffix.lower() == ".gif" and frames > most:
             raise typer.BadParameter(
                 f"{frames:,} frames of {width}×{height} are too many for a .gif, at most {most:,}: "
                 "choose .mp4, fewer --steps, a lower --fps or a smaller picture.",
                 param_hint="'--out'",
             )
         with tqdm(total=steps, unit=" steps", disable=None, leave=False) as bar:
-            if out.suffix == ".png":
+            if out.suffix.lower() == ".png":
                 recording.picture_end(episode, renderer, out, progress=bar.update)
             else:
                 with (
@@ -131,7 +131,7 @@ def record(
     finally:
         env.close()
     typer.echo(episode.report())
-    if out.suffix != ".png":
+    if out.suffix.lower() != ".png":
         seconds = film.frames / rate
         typer.echo(f"{film.frames} frames, {seconds:.2f} s, {out.stat().st_size / 1e6:.2f} MB")
     typer.echo(f"Wrote {out}.")

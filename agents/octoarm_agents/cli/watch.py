@@ -17,6 +17,7 @@ from octoarm_agents.cli.options import (
     NoiseSize,
     OtherArm,
     PushSize,
+    need_extra,
     number_between,
     read_body,
 )
@@ -127,18 +128,21 @@ def watch(
                 "an agent has its own target; this is the mouse's.", param_hint="'--target'"
             )
         actor = find_actor(policy, arm)
-    in_window = view == "window" or policy is None or (view == "auto" and _can_open_a_window())
+    needs_window = view == "window" or policy is None
     settings = {"push": push, "noise": noise, "steps": steps}
     if steps is None:
         settings["steps"] = 500 if policy else _BY_HAND
     size = (width, height)
     try:
-        if in_window:
-            _watch_window(
-                actor, episodes, seed, speed, settings, (size, camera, zoom, exaggeration)
-            )
-        else:
-            _watch_terminal(actor, episodes, seed, speed, settings)
+        if needs_window or (view == "auto" and _can_open_a_window()):
+            picture = (size, camera, zoom, exaggeration)
+            reason = _watch_window(actor, episodes, seed, speed, settings, picture)
+            if not reason:
+                return
+            typer.echo(f"{reason}.", err=True)
+            if needs_window:
+                raise typer.Exit(1)
+        _watch_terminal(actor, episodes, seed, speed, settings)
     except KeyboardInterrupt:
         typer.echo("Stopped.")
 
@@ -168,7 +172,10 @@ def _watch_window(
     speed: float,
     settings: dict[str, Any],
     picture: tuple[tuple[int, int], str, float, float],
-) -> None:
+) -> str:
+    """Show it in a window; say why that cannot be, or nothing."""
+    with need_extra("render"):
+        from octoarm_env.rendering.window import WindowError
     from octoarm_agents.cli.watch_window import MousePolicy, show_in_window
     from octoarm_agents.policies.episode import Episode
 
@@ -185,8 +192,11 @@ def _watch_window(
 
     try:
         show_in_window(played(), renderer_of, speed=speed, mouse=mouse)
+    except WindowError as error:
+        return str(error)
     finally:
         env.close()
+    return ""
 
 
 def _watch_terminal(

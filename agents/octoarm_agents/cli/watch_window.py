@@ -64,11 +64,14 @@ def show_in_window(
         renderer_of: makes what draws the first of them; the others are of the same arm.
         speed: times real time.
         mouse: the agent, where the mouse leads the base.
+
+    Raises:
+        octoarm_env.rendering.window.WindowError: there is no display.
     """
     from octoarm_env.rendering.history import History
 
     with need_extra("render"):
-        from octoarm_env.rendering.window import Window, WindowError
+        from octoarm_env.rendering.window import WITHOUT_DISPLAY, Window, WindowError
 
     window: Window | None = None
     try:
@@ -80,11 +83,16 @@ def show_in_window(
                 caption = f"OctoArm · {renderer.title}"
                 lead = mouse is not None
                 window = Window(renderer, caption, episode.period, speed=speed, lead=lead)
+                if not window.seen:
+                    raise WindowError(
+                        f"no window can be opened: no display was found. {WITHOUT_DISPLAY}"
+                    )
                 if mouse is not None:
                     mouse.window = window
             joints = episode.arm_env.arm_joints
             window.show(joints, history)
             while not episode.ended and not window.closed:
+                history.disturbances = episode.disturbances
                 episode.step()
                 history.add(episode.info, episode.reward)
                 joints = episode.arm_env.arm_joints
@@ -100,9 +108,6 @@ def show_in_window(
                 return
         if window is not None:
             window.hold(joints, history)
-    except WindowError as error:
-        typer.echo(f"{error}.", err=True)
-        raise typer.Exit(1) from None
     finally:
         if window is not None:
             window.close()

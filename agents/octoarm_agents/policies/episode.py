@@ -96,6 +96,12 @@ class Episode:
         return self._noise.size > 0
 
     @property
+    def disturbances(self) -> tuple[str, ...]:
+        """What disturbs the arm or the agent in the next step, in words."""
+        words = ("pushed", self.pushed), ("noisy springs", self.noisy)
+        return tuple(word for word, applies in words if applies)
+
+    @property
     def time(self) -> float:
         """Since the episode began [s]."""
         return self.steps_made * self.period

@@ -44,7 +44,7 @@ def algorithm_class(algorithm: str) -> Any:
         import sb3_contrib
     except ImportError as error:
         raise ImportError(
-            f"{algorithm} needs sb3-contrib: pip install 'octoarm-agents[rl]'"
+            f'{algorithm} needs sb3-contrib: pip install "octoarm-agents[rl]"'
         ) from error
     return {"tqc": sb3_contrib.TQC, "recurrent_ppo": sb3_contrib.RecurrentPPO}[algorithm]
 

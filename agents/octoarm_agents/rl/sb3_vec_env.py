@@ -32,7 +32,7 @@ try:
     )
 except ImportError as error:
     raise ImportError(
-        "octoarm_agents.rl needs stable-baselines3: pip install 'octoarm-agents[rl]'"
+        'octoarm_agents.rl needs stable-baselines3: pip install "octoarm-agents[rl]"'
     ) from error
 
 __all__ = ["Sb3VecEnv", "make_sb3_vec_env"]

@@ -336,6 +336,12 @@ impl EpisodeBatch {
         self.courses().map(Course::teacher_action).collect()
     }
 
+    /// Whether each episode has ended and waits for a reset.
+    #[must_use]
+    pub fn ended(&self) -> Vec<bool> {
+        self.groups.iter().flat_map(|group| group.seats.iter().map(|seat| seat.ended)).collect()
+    }
+
     /// Where every episode stands, as if it began there.
     #[must_use]
     pub fn outcomes(&self) -> Vec<Outcome> {

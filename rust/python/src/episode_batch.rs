@@ -179,6 +179,11 @@ impl EpisodeBatch {
     }
 
     #[getter]
+    fn ended(&self) -> Vec<bool> {
+        self.inner.ended()
+    }
+
+    #[getter]
     fn threads(&self) -> usize {
         self.inner.threads()
     }
