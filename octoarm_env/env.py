@@ -96,7 +96,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
     | `action_change_weight` | `0.01`        | see Rewards                                              |
-    | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering |
+    | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering                |
     | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
     | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
     | `camera`               | `None`        | a `rendering.Camera`, or `"perspective"` (default), `"front"`, `"side"`, `"top"`, `"base"` |
@@ -112,10 +112,11 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
 
     ## Rendering
     With `render_mode="rgb_array"`, `render()` gives the arm in three dimensions as an array
-    (height, width, 3), uint8; no display is needed (`gym.make` takes `"rgb_array_list"` too). With `"human"` every step is shown in a window,
-    in the time that it takes (drag: around the arm, wheel: zoom, h: keys; where the window is
-    closed the arm goes on unseen). Both need pygame-ce, `pip install "octoarm-env[render]"`, and
-    neither changes a bit of the simulation. `metadata["render_fps"]` is one frame a step.
+    (height, width, 3), uint8; no display is needed (`gym.make` takes `"rgb_array_list"` too). With
+    `"human"` every step is shown in a window, in the time that it takes (drag: around the arm,
+    wheel: zoom, h: keys; where the window is closed the arm goes on unseen). Both need pygame-ce,
+    `pip install "octoarm-env[render]"`, and neither changes a bit of the simulation.
+    `metadata["render_fps"]` is one frame a step.
 
     ## Version history
     * v0: initial version.

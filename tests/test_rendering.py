@@ -212,6 +212,17 @@ class TestContents:
         for azimuth in (0.0, 60.0, 90.0, 180.0):
             check_stage(env, "random", 40, Camera(azimuth=azimuth, elevation=10.0))
 
+    @pytest.mark.parametrize("target", LIMIT_CYCLES)
+    def test_the_tip_moves_by_a_centimetre(self, target):
+        """As the documentation says of pictures in which nothing is exaggerated."""
+        env = make(target=target, render_mode=None)
+        env.reset(seed=0)
+        ways = []
+        for _ in range(400):
+            env.step(env.teacher_action())
+            ways.append(np.hypot(*env.arm_positions[-1, :2]))
+        assert 0.005 < max(ways) < 0.015
+
     def test_a_standing_arm_stands(self):
         for gravity, sign in ((9.81, 1), (-9.81, -1)):
             parameters = ArmParameters(gravity=(0.0, 0.0, gravity), compartments=9)

@@ -17,6 +17,7 @@ from rich.text import Text
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.terminal import Moment, Scene, draw_frame
 from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_env.rendering.history import LATE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TerminalEpisode", "show_in_terminal"]
 
-_LATE = 2.0
-"""How much of the past is drawn [s]."""
 _FRAME_TIME = 0.04
 """Least time between frames [s]."""
 
@@ -45,7 +44,7 @@ class TerminalEpisode(Episode):
         duration = self.steps * self.period
         rest_length = self.parameters.rest_length
         self.scene = Scene(title, self.arm_env.orbit, rest_length, duration, self.steps)
-        late = max(2, round(_LATE / self.period))
+        late = max(2, round(LATE / self.period))
         self._trace: deque[Float] = deque(maxlen=late)
         self._shapes: deque[Float] = deque(maxlen=late)
         self._reach = self._strain = 0.0
@@ -59,9 +58,7 @@ class TerminalEpisode(Episode):
     def moment(self, speed: str) -> Moment:
         """What is to be seen now; `speed` is that of the show, in words."""
         trace, shapes = np.array(self._trace), np.array(self._shapes)
-        disturbances = ["PUSHED"] if self.pushed else []
-        disturbances += ["NOISE"] if self.noisy else []
-        disturbances += ["LEFT ITS DOMAIN"] if self.failure else []
+        alarms = [*self.disturbances, *(["left its domain"] if self.failure else [])]
         return Moment(
             time=self.time,
             trace=trace,
@@ -76,7 +73,7 @@ class TerminalEpisode(Episode):
             error=float(self.info["tracking_error"]),
             distance=float(orbit_distance(trace[-1:], self.scene.orbit)[0]),
             speed=speed,
-            disturbance=" + ".join(disturbances),
+            disturbance=" + ".join(alarms).upper(),
         )
 
     def _remember(self) -> None:

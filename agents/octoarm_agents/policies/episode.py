@@ -98,7 +98,7 @@ class Episode:
     @property
     def disturbances(self) -> tuple[str, ...]:
         """What disturbs the arm or the agent in the next step, in words."""
-        words = ("pushed", self.pushed), ("noisy springs", self.noisy)
+        words = ("pushed", self.pushed), ("noise", self.noisy)
         return tuple(word for word, applies in words if applies)
 
     @property
