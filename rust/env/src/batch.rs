@@ -330,6 +330,12 @@ impl EpisodeBatch {
         self.groups[index / WIDTH].courses[index % WIDTH].swing()
     }
 
+    /// The last actions; after a reset, those that the swings were under.
+    #[must_use]
+    pub fn actions(&self) -> Vec<[f64; 2]> {
+        self.courses().map(Course::action).collect()
+    }
+
     /// The teachers' actions now.
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
@@ -355,6 +361,17 @@ impl EpisodeBatch {
                     .map(|(lane, course)| course.first_outcome(group.lanes.base_degrees(lane)))
             })
             .collect()
+    }
+
+    /// Spring lengths \[m\] of all arms, [`EpisodeBatch::observation_len`] an arm.
+    #[must_use]
+    pub fn lengths(&self) -> Vec<f64> {
+        let width = self.observation_len();
+        let mut lengths = vec![0.0; self.count * width];
+        for (index, row) in lengths.chunks_exact_mut(width).enumerate() {
+            self.groups[index / WIDTH].lanes.lengths_into(index % WIDTH, row);
+        }
+        lengths
     }
 
     /// An arm's complete state.

@@ -157,6 +157,11 @@ impl Course {
         self.as_action(self.swing.clock.command(self.tick, self.clock).0)
     }
 
+    /// The action before; after a reset, that of the swing.
+    pub(crate) fn action(&self) -> [f64; 2] {
+        self.action
+    }
+
     /// The commanded angles \[degrees\] of an action.
     pub(crate) fn command(&self, action: [f64; 2]) -> [f64; 2] {
         action.map(|share| share * self.action_range)

@@ -84,6 +84,24 @@ impl Episode {
         self.course.first_outcome(self.arm.base_degrees())
     }
 
+    /// The last action; after a reset, the one that the swing was under.
+    #[must_use]
+    pub fn action(&self) -> [f64; 2] {
+        self.course.action()
+    }
+
+    /// Where the episode stands, as if it began there.
+    #[must_use]
+    pub fn outcome(&self) -> Outcome {
+        self.course.first_outcome(self.arm.base_degrees())
+    }
+
+    /// Whether the episode goes on: it was reset, and the arm has not left its domain.
+    #[must_use]
+    pub fn running(&self) -> bool {
+        self.course.running()
+    }
+
     /// The teacher's action now: what the clock commands, as a fraction of the action range.
     #[must_use]
     pub fn teacher_action(&self) -> [f64; 2] {

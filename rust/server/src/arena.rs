@@ -1,0 +1,294 @@
+//! An arm, or a batch of them, as a client steps it: the protocol's states over the episodes.
+
+use octoarm_arm::ParameterError;
+use octoarm_env::{Autoreset, Episode, EpisodeBatch, Outcome};
+
+use crate::protocol::{EnvironmentStateType, Tensor};
+use crate::reply::{Answer, Refusal};
+use crate::specs::{Observation, Specs};
+use crate::tensor;
+use crate::world_settings::{NextReset, WorldSettings};
+
+/// Time of a physics step of one arm or of eight in lanes, roughly \[µs\].
+const MICROSECONDS_A_STEP: f64 = 10.0;
+
+/// The arms.
+#[derive(Debug)]
+pub(crate) enum Body {
+    /// One.
+    Single(Box<Episode>),
+    /// Many, which begin new episodes by themselves.
+    Batch(EpisodeBatch),
+}
+
+/// What a step is to do.
+#[derive(Debug)]
+pub(crate) struct Order {
+    /// The actions; without them every arm keeps its last one.
+    pub(crate) actions: Option<Vec<[f64; 2]>>,
+    /// What is wanted back.
+    pub(crate) observations: Vec<Observation>,
+}
+
+/// What a step brought.
+#[derive(Debug)]
+pub(crate) struct Step {
+    /// Where the sequence stands.
+    pub(crate) state: EnvironmentStateType,
+    /// The observations that were ordered, in their order.
+    pub(crate) observations: Vec<(Observation, Tensor)>,
+}
+
+/// An arm or a batch between two requests.
+#[derive(Debug)]
+pub(crate) struct Arena {
+    pub(crate) body: Body,
+    /// Whether an episode runs.
+    running: bool,
+    /// Steps of the running episode.
+    pub(crate) elapsed: u32,
+    max_episode_steps: Option<u32>,
+    /// How the next episode begins.
+    next: NextReset,
+    /// Whether the generator of phases has a seed.
+    seeded: bool,
+}
+
+/// What an arm's step tells.
+struct Report<'a> {
+    lengths: &'a dyn Fn() -> Vec<f64>,
+    outcomes: &'a [Outcome],
+    rewards: &'a [f64],
+    terminated: &'a [bool],
+    truncated: &'a [bool],
+}
+
+impl Report<'_> {
+    fn tensor(&self, observation: Observation, shape: &[i32]) -> Tensor {
+        let numbers = |value: fn(&Outcome) -> f64| {
+            tensor::doubles(self.outcomes.iter().map(value).collect(), shape)
+        };
+        let pairs = |value: fn(&Outcome) -> [f64; 2]| {
+            tensor::doubles(self.outcomes.iter().flat_map(value).collect(), shape)
+        };
+        match observation {
+            Observation::SpringLengths => tensor::doubles((self.lengths)(), shape),
+            Observation::Reward => tensor::doubles(self.rewards.to_vec(), shape),
+            Observation::Discount => {
+                let discounts = self.terminated.iter().map(|ended| f64::from(u8::from(!ended)));
+                tensor::doubles(discounts.collect(), shape)
+            }
+            Observation::BaseAngles => pairs(|outcome| outcome.base),
+            Observation::Target => pairs(|outcome| outcome.target),
+            Observation::TrackingError => numbers(|outcome| outcome.tracking_error),
+            Observation::RewardTracking => numbers(|outcome| outcome.terms.tracking),
+            Observation::RewardActionChange => numbers(|outcome| outcome.terms.action_change),
+            Observation::Terminated => tensor::bools(self.terminated.to_vec(), shape),
+            Observation::Truncated => tensor::bools(self.truncated.to_vec(), shape),
+            Observation::Failure => {
+                let texts = self.outcomes.iter().map(|outcome| {
+                    outcome.failure.map_or_else(String::new, |failure| failure.to_string())
+                });
+                tensor::strings(texts.collect(), shape)
+            }
+        }
+    }
+
+    fn step(&self, state: EnvironmentStateType, wanted: &[Observation], specs: &Specs) -> Step {
+        let observations = wanted
+            .iter()
+            .map(|wanted| (*wanted, self.tensor(*wanted, &specs.shape(*wanted))))
+            .collect();
+        Step { state, observations }
+    }
+}
+
+impl Arena {
+    /// Arms that wait for their first step.
+    pub(crate) fn new(settings: &WorldSettings) -> Result<Self, ParameterError> {
+        let body = match settings.num_envs {
+            None => Body::Single(Box::new(Episode::new(settings.config.clone())?)),
+            Some(count) => Body::Batch(EpisodeBatch::new(
+                vec![settings.config.clone(); count],
+                settings.max_episode_steps,
+                Autoreset::NextStep,
+                Some(settings.threads),
+            )?),
+        };
+        Ok(Self {
+            body,
+            running: false,
+            elapsed: 0,
+            max_episode_steps: settings.max_episode_steps,
+            next: NextReset { seed: settings.seed, phase: None },
+            seeded: false,
+        })
+    }
+
+    /// Roughly how long a step takes \[µs\].
+    pub(crate) fn microseconds(&self) -> f64 {
+        match &self.body {
+            Body::Single(episode) => {
+                f64::from(episode.config().physics_steps()) * MICROSECONDS_A_STEP
+            }
+            Body::Batch(batch) => {
+                let steps = f64::from(batch.config(0).physics_steps());
+                steps * batch.len().div_ceil(8) as f64 * MICROSECONDS_A_STEP
+            }
+        }
+    }
+
+    /// Arms.
+    pub(crate) fn len(&self) -> usize {
+        match &self.body {
+            Body::Single(_) => 1,
+            Body::Batch(batch) => batch.len(),
+        }
+    }
+
+    /// Ends the episode; the next step begins one. Where none runs, and nothing is set, nothing
+    /// happens.
+    pub(crate) fn reset(&mut self, next: NextReset) {
+        self.running = false;
+        self.next.overlay(next);
+    }
+
+    /// Whether an episode runs.
+    pub(crate) fn running(&self) -> bool {
+        self.running
+    }
+
+    /// Starts the generator of phases anew, now.
+    pub(crate) fn seed(&mut self, seed: u64) {
+        match &mut self.body {
+            Body::Single(episode) => {
+                episode.seed(seed);
+                self.seeded = true;
+                self.next.seed = None;
+            }
+            Body::Batch(_) => self.next.seed = Some(seed),
+        }
+    }
+
+    /// Goes on where a saved state stands.
+    pub(crate) fn restored(&mut self) {
+        self.running = match &self.body {
+            Body::Single(episode) => episode.running(),
+            Body::Batch(_) => true,
+        };
+        self.next = NextReset::default();
+        self.seeded = true;
+        self.elapsed = 0;
+    }
+
+    /// Goes on as a request asks: a control period, or the begin of an episode.
+    pub(crate) fn step(&mut self, order: &Order, specs: &Specs) -> Answer<Step> {
+        if self.running { self.advance(order, specs) } else { self.begin(order, specs) }
+    }
+
+    /// Tells where the episode stands, and that it is interrupted.
+    pub(crate) fn interrupt(&mut self, order: &Order, specs: &Specs) -> Step {
+        self.running = false;
+        self.tell(EnvironmentStateType::Interrupted, order, specs)
+    }
+
+    fn begin(&mut self, order: &Order, specs: &Specs) -> Answer<Step> {
+        let NextReset { seed, phase } = self.next;
+        let seed = match seed {
+            Some(seed) => Some(seed),
+            None if self.seeded => None,
+            None => Some(getrandom::u64().map_err(|error| {
+                Refusal::new(tonic::Code::Internal, format!("no random seed: {error}"))
+            })?),
+        };
+        match &mut self.body {
+            Body::Single(episode) => {
+                if let Some(seed) = seed {
+                    episode.seed(seed);
+                }
+                match phase {
+                    None => episode.reset(),
+                    Some(phase) => episode.reset_to_phase(phase)?,
+                };
+            }
+            Body::Batch(batch) => {
+                let seeds: Vec<Option<u64>> = (0..batch.len() as u64)
+                    .map(|index| seed.map(|seed| seed.wrapping_add(index)))
+                    .collect();
+                batch.reset(None, &seeds, phase)?;
+            }
+        }
+        self.next = NextReset::default();
+        self.seeded = true;
+        self.running = true;
+        self.elapsed = 0;
+        Ok(self.tell(EnvironmentStateType::Running, order, specs))
+    }
+
+    /// Where every arm stands, with a reward of 0.
+    fn tell(&self, state: EnvironmentStateType, order: &Order, specs: &Specs) -> Step {
+        let count = self.len();
+        let (outcomes, lengths): (Vec<Outcome>, Box<dyn Fn() -> Vec<f64>>) = match &self.body {
+            Body::Single(episode) => {
+                (vec![episode.outcome()], Box::new(|| episode.arm().lengths()))
+            }
+            Body::Batch(batch) => (batch.outcomes(), Box::new(|| batch.lengths())),
+        };
+        let report = Report {
+            lengths: &lengths,
+            outcomes: &outcomes,
+            rewards: &vec![0.0; count],
+            terminated: &vec![false; count],
+            truncated: &vec![state == EnvironmentStateType::Interrupted; count],
+        };
+        report.step(state, &order.observations, specs)
+    }
+
+    fn advance(&mut self, order: &Order, specs: &Specs) -> Answer<Step> {
+        match &mut self.body {
+            Body::Single(episode) => {
+                let action = match &order.actions {
+                    Some(actions) => actions[0],
+                    None => episode.action(),
+                };
+                let outcome = episode.step(action)?;
+                self.elapsed = self.elapsed.saturating_add(1);
+                let terminated = outcome.failure.is_some();
+                let truncated = self.max_episode_steps.is_some_and(|most| self.elapsed >= most);
+                self.running = !terminated && !truncated;
+                let state = match (terminated, truncated) {
+                    (true, _) => EnvironmentStateType::Terminated,
+                    (_, true) => EnvironmentStateType::Interrupted,
+                    _ => EnvironmentStateType::Running,
+                };
+                let report = Report {
+                    lengths: &|| episode.arm().lengths(),
+                    outcomes: &[outcome],
+                    rewards: &[outcome.terms.total()],
+                    terminated: &[terminated],
+                    truncated: &[truncated],
+                };
+                Ok(report.step(state, &order.observations, specs))
+            }
+            Body::Batch(batch) => {
+                let kept;
+                let actions = match &order.actions {
+                    Some(actions) => actions,
+                    None => {
+                        kept = batch.actions();
+                        &kept
+                    }
+                };
+                let step = batch.step(actions)?;
+                let report = Report {
+                    lengths: &|| step.observations.clone(),
+                    outcomes: &step.outcomes,
+                    rewards: &step.rewards,
+                    terminated: &step.terminated,
+                    truncated: &step.truncated,
+                };
+                Ok(report.step(EnvironmentStateType::Running, &order.observations, specs))
+            }
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! The token that clients must present.
+
+use std::sync::Arc;
+
+use subtle::ConstantTimeEq;
+use tonic::service::Interceptor;
+use tonic::{Request, Status};
+
+use crate::metrics::Metrics;
+use crate::settings::SettingsError;
+
+/// Fewest characters of a token: what is shorter can be guessed.
+const SHORTEST: usize = 16;
+
+/// A secret; it is never shown.
+#[derive(Clone)]
+pub(crate) struct Token(String);
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Token")
+    }
+}
+
+impl Token {
+    /// The token in a text, without the white space around it.
+    pub(crate) fn new(source: &str, text: &str) -> Result<Self, SettingsError> {
+        let text = text.trim();
+        if text.len() < SHORTEST || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
+            return Err(SettingsError::Value(format!(
+                "{source}: a token is at least {SHORTEST} printable ASCII characters without spaces"
+            )));
+        }
+        Ok(Self(text.to_owned()))
+    }
+}
+
+/// Refuses calls without the token.
+#[derive(Clone, Debug)]
+pub(crate) struct Guard {
+    /// Without one every call passes.
+    pub(crate) token: Option<Token>,
+    /// Where the refused are counted.
+    pub(crate) metrics: Arc<Metrics>,
+}
+
+impl Interceptor for Guard {
+    fn call(&mut self, request: Request<()>) -> Result<Request<()>, Status> {
+        let Some(Token(token)) = &self.token else { return Ok(request) };
+        let given = request.metadata().get("authorization").map(|value| value.as_bytes());
+        let given = given.and_then(|value| value.split_at_checked(7)).filter(|(scheme, _)| {
+            // RFC 7235: the scheme's case does not matter.
+            scheme.eq_ignore_ascii_case(b"bearer ")
+        });
+        let refusal = match given {
+            // In a time that tells nothing of where they differ.
+            Some((_, given)) if bool::from(given.ct_eq(token.as_bytes())) => {
+                return Ok(request);
+            }
+            Some(_) => "the token is wrong",
+            None => {
+                "this server needs a token: send the metadata \"authorization: Bearer <token>\""
+            }
+        };
+        self.metrics.unauthenticated.inc();
+        Err(Status::unauthenticated(refusal))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_token_passes() {
+        let token = Token::new("it", "0123456789abcdef\n").expect("token");
+        let mut guard = Guard { token: Some(token), metrics: Metrics::new() };
+        let mut call = |value: Option<&'static str>| {
+            let mut request = Request::new(());
+            if let Some(value) = value {
+                let value = value.parse().expect("metadata");
+                request.metadata_mut().insert("authorization", value);
+            }
+            guard.call(request).map(|_| ()).map_err(|status| status.code())
+        };
+        assert_eq!(call(Some("Bearer 0123456789abcdef")), Ok(()));
+        assert_eq!(call(Some("bearer 0123456789abcdef")), Ok(()));
+        for wrong in [
+            None,
+            Some(""),
+            Some("Bearer "),
+            Some("Bearer 0123456789abcdeg"),
+            Some("Bearer 0123456789abcdef0"),
+            Some("Basic 0123456789abcdef"),
+            Some("0123456789abcdef"),
+        ] {
+            assert_eq!(call(wrong), Err(tonic::Code::Unauthenticated), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn without_a_token_every_call_passes() {
+        assert!(Guard { token: None, metrics: Metrics::new() }.call(Request::new(())).is_ok());
+    }
+}

@@ -1,0 +1,25 @@
+//! The octopus arm as a service: the environments of `octoarm-env` over gRPC, in the protocol
+//! [dm_env_rpc](https://github.com/google-deepmind/dm_env_rpc), version 1. No Python in the process.
+//!
+//! [`Options`] and [`Settings`] say where and for whom, [`Server`] serves. A *world* is an arm with its episodes, or a
+//! batch of them; a client makes worlds, joins one a stream, and steps it. What an episode is, is not
+//! decided here.
+
+mod arena;
+mod auth;
+mod listener;
+mod metrics;
+mod properties;
+pub mod protocol;
+mod reply;
+mod server;
+mod service;
+mod session;
+mod settings;
+mod specs;
+mod tensor;
+mod world;
+mod world_settings;
+
+pub use server::{ServeError, Server};
+pub use settings::{LogFormat, Options, Settings, SettingsError};

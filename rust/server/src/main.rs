@@ -1,0 +1,86 @@
+//! `octoarm-server`: serves the octopus arm over gRPC.
+
+use std::error::Error;
+use std::io::{self, IsTerminal as _, Write as _};
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use octoarm_server::{LogFormat, Options, Server, Settings};
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+fn start_log(settings: &Settings) -> Result<(), String> {
+    let level = &settings.log_level;
+    // A level alone is that of the server; its libraries only warn.
+    let alone = level.chars().all(char::is_alphabetic);
+    let filter = if alone { format!("warn,octoarm_server={level}") } else { level.clone() };
+    let filter = EnvFilter::try_new(filter)
+        .map_err(|error| format!("log_level = {:?}: {error}", settings.log_level))?;
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(io::stderr);
+    match settings.log_format {
+        LogFormat::Text => log.with_target(false).init(),
+        LogFormat::Json => log.json().flatten_event(true).init(),
+    }
+    // A panic is a line of the log as everything else.
+    std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "panic")));
+    Ok(())
+}
+
+/// Listens to the system's signals at once; the future completes when the process is asked to end.
+fn told_to_stop() -> io::Result<impl Future<Output = ()>> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    Ok(async move {
+        tokio::select! {
+            _ = terminate.recv() => tracing::info!(signal = "SIGTERM", "told to stop"),
+            _ = interrupt.recv() => tracing::info!(signal = "SIGINT", "told to stop"),
+        }
+    })
+}
+
+async fn serve(settings: Settings) -> Result<(), Box<dyn Error>> {
+    // Before anybody is told that there is a server to stop.
+    let stop = told_to_stop()?;
+    let server = Server::bind(settings).await?;
+    let address = server.address()?;
+    let scheme = if server.encrypted() { "https" } else { "http" };
+    tracing::info!(%address, tls = server.encrypted(), version = env!("CARGO_PKG_VERSION"), "listening");
+    let mut out = std::io::stdout().lock();
+    // Nobody may be reading.
+    let _ = writeln!(out, "octoarm-server listening on {scheme}://{address}");
+    if let Some(address) = server.metrics_address()? {
+        let _ = writeln!(out, "octoarm-server metrics on http://{address}/metrics");
+    }
+    let _ = out.flush();
+    drop(out);
+    server.serve(stop).await?;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+fn run() -> Result<(), (u8, String)> {
+    let settings = Options::parse().settle().map_err(|error| (2, error.to_string()))?;
+    start_log(&settings).map_err(|error| (2, error))?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(settings.server_threads)
+        .enable_all()
+        .build()
+        .map_err(|error| (1, error.to_string()))?;
+    let result = runtime.block_on(serve(settings)).map_err(|error| (1, error.to_string()));
+    // A long step must not keep the process.
+    runtime.shutdown_background();
+    result
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err((code, message)) => {
+            let _ = writeln!(std::io::stderr(), "octoarm-server: {message}");
+            ExitCode::from(code)
+        }
+    }
+}

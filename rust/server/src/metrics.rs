@@ -1,0 +1,191 @@
+//! What Prometheus can ask the server.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, AtomicU64};
+
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, text};
+use prometheus_client::metrics::counter::{ConstCounter, Counter};
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::registry::{Registry, Unit};
+
+use crate::protocol::environment_request::Payload;
+
+/// Kinds of requests; the last are those that hold none that is known.
+const KINDS: [&str; 9] = [
+    "create_world",
+    "join_world",
+    "step",
+    "reset",
+    "reset_world",
+    "leave_world",
+    "destroy_world",
+    "extension",
+    "unknown",
+];
+
+type Labels = Vec<(&'static str, &'static str)>;
+type Count = Counter<u64, AtomicU64>;
+type Level = Gauge<i64, AtomicI64>;
+
+/// What is counted of one kind of request.
+#[derive(Clone, Debug)]
+pub(crate) struct Requests {
+    answered: Count,
+    refused: Count,
+    seconds: Histogram,
+}
+
+impl Requests {
+    /// Counts a request that took so long.
+    pub(crate) fn count(&self, refused: bool, seconds: f64) {
+        if refused {
+            self.refused.inc()
+        } else {
+            self.answered.inc()
+        };
+        self.seconds.observe(seconds);
+    }
+}
+
+/// The server's counters and levels.
+#[derive(Debug)]
+pub(crate) struct Metrics {
+    registry: Registry,
+    requests: [Requests; KINDS.len()],
+    /// Control periods of all arms.
+    pub(crate) steps: Count,
+    /// Streams that were refused for a wrong or missing token.
+    pub(crate) unauthenticated: Count,
+    /// Streams that were ended for want of requests.
+    pub(crate) idle: Count,
+    /// Open connections.
+    pub(crate) connections: Level,
+    /// Open streams.
+    pub(crate) streams: Level,
+    /// Worlds, those in the making included.
+    pub(crate) worlds: Level,
+}
+
+/// Memory of the process, read when it is asked for.
+#[derive(Debug)]
+struct Process;
+
+impl Collector for Process {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> Result<(), std::fmt::Error> {
+        // Linux alone tells; elsewhere there is no such line.
+        let Ok(text) = std::fs::read_to_string("/proc/self/status") else { return Ok(()) };
+        for (key, name, help, scale) in [
+            ("VmRSS:", "process_resident_memory", "Resident memory of the process", 1024),
+            ("Threads:", "process_threads", "Threads of the process", 1),
+        ] {
+            let line = text.lines().find_map(|line| line.strip_prefix(key));
+            let number = line.and_then(|line| line.split_whitespace().next()?.parse::<i64>().ok());
+            let Some(number) = number else { continue };
+            let gauge = ConstGauge::new(number * scale);
+            let unit = (scale != 1).then_some(&Unit::Bytes);
+            let encoder = encoder.encode_descriptor(name, help, unit, gauge.metric_type())?;
+            gauge.encode(encoder)?;
+        }
+        Ok(())
+    }
+}
+
+/// The server's version.
+#[derive(Debug)]
+struct Build;
+
+impl Collector for Build {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> Result<(), std::fmt::Error> {
+        let one = ConstCounter::new(1_u64);
+        let mut encoder = encoder.encode_descriptor(
+            "octoarm_build",
+            "The server's version",
+            None,
+            one.metric_type(),
+        )?;
+        let labels = [("version", env!("CARGO_PKG_VERSION"))];
+        one.encode(encoder.encode_family(&labels)?)
+    }
+}
+
+impl Metrics {
+    /// All at zero.
+    pub(crate) fn new() -> Arc<Self> {
+        let mut registry = Registry::default();
+        registry.register_collector(Box::new(Process));
+        registry.register_collector(Box::new(Build));
+        let registry_ref = registry.sub_registry_with_prefix("octoarm");
+        let counts: Family<Labels, Count> = Family::default();
+        // From 10 µs to 2.6 s.
+        let times: Family<Labels, Histogram> =
+            Family::new_with_constructor(|| Histogram::new(exponential_buckets(1e-5, 2.0, 19)));
+        registry_ref.register("requests", "Requests answered or refused", counts.clone());
+        registry_ref.register_with_unit(
+            "request_duration",
+            "Time from a request's arrival to its answer",
+            Unit::Seconds,
+            times.clone(),
+        );
+        let requests = KINDS.map(|kind| {
+            let count =
+                |result| counts.get_or_create_owned(&vec![("request", kind), ("result", result)]);
+            Requests {
+                answered: count("answered"),
+                refused: count("refused"),
+                seconds: times.get_or_create_owned(&vec![("request", kind)]),
+            }
+        });
+        let mut counter = |name: &str, help: &str| {
+            let counter = Count::default();
+            registry_ref.register(name, help, counter.clone());
+            counter
+        };
+        let steps = counter("environment_steps", "Control periods of all arms");
+        let unauthenticated = counter("unauthenticated", "Calls with a wrong token or none");
+        let idle = counter("idle_streams", "Streams ended for want of requests");
+        let mut gauge = |name: &str, help: &str| {
+            let gauge = Level::default();
+            registry_ref.register(name, help, gauge.clone());
+            gauge
+        };
+        let connections = gauge("connections", "Open connections");
+        let streams = gauge("streams", "Open streams");
+        let worlds = gauge("worlds", "Worlds");
+        Arc::new(Self {
+            requests,
+            steps,
+            unauthenticated,
+            idle,
+            connections,
+            streams,
+            worlds,
+            registry,
+        })
+    }
+
+    /// The counters of a request's kind.
+    pub(crate) fn of(&self, payload: Option<&Payload>) -> &Requests {
+        let kind = match payload {
+            Some(Payload::CreateWorld(_)) => 0,
+            Some(Payload::JoinWorld(_)) => 1,
+            Some(Payload::Step(_)) => 2,
+            Some(Payload::Reset(_)) => 3,
+            Some(Payload::ResetWorld(_)) => 4,
+            Some(Payload::LeaveWorld(_)) => 5,
+            Some(Payload::DestroyWorld(_)) => 6,
+            Some(Payload::Extension(_)) => 7,
+            None => 8,
+        };
+        &self.requests[kind]
+    }
+
+    /// All of them in the format that Prometheus reads.
+    pub(crate) fn text(&self) -> Result<String, std::fmt::Error> {
+        let mut out = String::new();
+        text::encode(&mut out, &self.registry)?;
+        Ok(out)
+    }
+}

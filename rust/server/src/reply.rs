@@ -1,0 +1,51 @@
+//! How a request is refused.
+
+use octoarm_arm::ParameterError;
+use tonic::Code;
+
+use crate::protocol::Status;
+
+/// Why a request was refused; nothing is changed then.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Refusal {
+    /// What kind of error it is.
+    pub(crate) code: Code,
+    /// What is wrong, by name and value, and what is allowed.
+    pub(crate) message: String,
+}
+
+/// What a request comes to.
+pub(crate) type Answer<T> = Result<T, Refusal>;
+
+impl Refusal {
+    pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+
+    /// A value that cannot be used.
+    pub(crate) fn invalid(message: impl Into<String>) -> Self {
+        Self::new(Code::InvalidArgument, message)
+    }
+
+    /// A request that does not fit where the stream stands.
+    pub(crate) fn precondition(message: impl Into<String>) -> Self {
+        Self::new(Code::FailedPrecondition, message)
+    }
+
+    /// More than the server gives.
+    pub(crate) fn exhausted(message: impl Into<String>) -> Self {
+        Self::new(Code::ResourceExhausted, message)
+    }
+}
+
+impl From<ParameterError> for Refusal {
+    fn from(error: ParameterError) -> Self {
+        Self::invalid(error.to_string())
+    }
+}
+
+impl From<Refusal> for Status {
+    fn from(refusal: Refusal) -> Self {
+        Self { code: refusal.code as i32, message: refusal.message, details: Vec::new() }
+    }
+}

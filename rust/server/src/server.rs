@@ -1,0 +1,213 @@
+//! The server as a whole: listening, serving, stopping.
+
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::http::{StatusCode, header};
+use axum::routing::get;
+use thiserror::Error;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::server::ServerTlsConfig;
+use tonic::transport::{Identity, Server as Transport};
+
+use crate::auth::Guard;
+use crate::listener::connections;
+use crate::metrics::Metrics;
+use crate::protocol::DESCRIPTORS;
+use crate::protocol::environment_server::EnvironmentServer;
+use crate::service::Service;
+use crate::session::Hub;
+use crate::settings::Settings;
+
+/// Why the server cannot serve.
+#[derive(Debug, Error)]
+pub enum ServeError {
+    /// An address cannot be listened on.
+    #[error("cannot listen on {address}: {error}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        error: io::Error,
+    },
+    /// The certificate, its key, or the transport.
+    #[error("{0}")]
+    Transport(String),
+}
+
+/// A server that listens.
+#[derive(Debug)]
+pub struct Server {
+    settings: Settings,
+    listener: TcpListener,
+    metrics: Option<TcpListener>,
+}
+
+async fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
+    TcpListener::bind(address).await.map_err(|error| ServeError::Listen { address, error })
+}
+
+fn address_of(listener: &TcpListener) -> Result<SocketAddr, ServeError> {
+    listener.local_addr().map_err(|error| ServeError::Transport(error.to_string()))
+}
+
+fn transport_error(error: &(dyn std::error::Error + 'static)) -> ServeError {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    ServeError::Transport(text)
+}
+
+/// Serves what Prometheus reads.
+async fn serve_metrics(listener: TcpListener, metrics: Arc<Metrics>, stop: CancellationToken) {
+    const TEXT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    let answer = move || async move {
+        match metrics.text() {
+            Ok(text) => (StatusCode::OK, [(header::CONTENT_TYPE, TEXT)], text),
+            Err(error) => (
+                StatusCode::INTERNAL_SERVER_ERROR,
+                [(header::CONTENT_TYPE, "text/plain")],
+                error.to_string(),
+            ),
+        }
+    };
+    let router = Router::new().route("/metrics", get(answer));
+    let serving =
+        axum::serve(listener, router).with_graceful_shutdown(async move { stop.cancelled().await });
+    if let Err(error) = serving.await {
+        tracing::error!(%error, "metrics are no longer served");
+    }
+}
+
+impl Server {
+    /// Listens, but serves nobody yet.
+    ///
+    /// # Errors
+    /// [`ServeError::Listen`] for an address that is taken or not this machine's.
+    pub async fn bind(settings: Settings) -> Result<Self, ServeError> {
+        let listener = listen(settings.address).await?;
+        let metrics = match settings.metrics {
+            None => None,
+            Some(address) => Some(listen(address).await?),
+        };
+        Ok(Self { settings, listener, metrics })
+    }
+
+    /// Where clients connect.
+    ///
+    /// # Errors
+    /// [`ServeError::Transport`] if the system does not tell.
+    pub fn address(&self) -> Result<SocketAddr, ServeError> {
+        address_of(&self.listener)
+    }
+
+    /// Where Prometheus connects.
+    ///
+    /// # Errors
+    /// [`ServeError::Transport`] if the system does not tell.
+    pub fn metrics_address(&self) -> Result<Option<SocketAddr>, ServeError> {
+        self.metrics.as_ref().map(address_of).transpose()
+    }
+
+    /// Whether clients must speak TLS.
+    #[must_use]
+    pub fn encrypted(&self) -> bool {
+        self.settings.tls.is_some()
+    }
+
+    /// Serves until `shutdown` completes; running requests are then answered, streams ended, and what
+    /// is left after the time allowed is broken off.
+    ///
+    /// # Errors
+    /// [`ServeError::Transport`] for a certificate or key that cannot be used.
+    pub async fn serve(self, shutdown: impl Future<Output = ()>) -> Result<(), ServeError> {
+        let Self { settings, listener, metrics: metrics_listener } = self;
+        let limits = settings.limits.clone();
+        let metrics = Metrics::new();
+        let stop = CancellationToken::new();
+        let hub = Hub::new(limits.clone(), Arc::clone(&metrics), stop.clone());
+
+        let (health, health_service) = tonic_health::server::health_reporter();
+        health.set_serving::<EnvironmentServer<Service>>().await;
+        let guard = Guard { token: settings.token.clone(), metrics: Arc::clone(&metrics) };
+        let environment = EnvironmentServer::new(Service { hub: Arc::clone(&hub) })
+            .max_decoding_message_size(limits.max_message_size);
+        let reflection = |error: tonic_reflection::server::Error| transport_error(&error);
+        let files = || {
+            tonic_reflection::server::Builder::configure()
+                .register_encoded_file_descriptor_set(DESCRIPTORS)
+                .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        };
+
+        let mut transport = Transport::builder()
+            .max_concurrent_streams(limits.max_streams_per_connection)
+            .http2_keepalive_interval(Some(limits.keepalive_interval))
+            .http2_keepalive_timeout(Some(limits.keepalive_timeout));
+        if let Some(tls) = &settings.tls {
+            let identity = Identity::from_pem(&tls.certificate, &tls.key);
+            transport = transport
+                .tls_config(
+                    ServerTlsConfig::new().identity(identity).timeout(limits.keepalive_timeout),
+                )
+                .map_err(|error| transport_error(&error))?;
+        }
+        let router = transport
+            .add_service(health_service)
+            .add_service(InterceptedService::new(environment, guard.clone()))
+            .add_service(InterceptedService::new(
+                files().build_v1().map_err(reflection)?,
+                guard.clone(),
+            ))
+            .add_service(InterceptedService::new(
+                files().build_v1alpha().map_err(reflection)?,
+                guard,
+            ));
+        // Twice, so that a connection is first given up by the transport, which says goodbye.
+        let silence = 2 * (limits.keepalive_interval + limits.keepalive_timeout);
+        let incoming = connections(listener, limits.max_connections, silence, Arc::clone(&metrics));
+
+        let watch = tokio::spawn(Arc::clone(&hub).keep_watch());
+        let scraped = metrics_listener
+            .map(|listener| tokio::spawn(serve_metrics(listener, metrics, stop.clone())));
+        let serving = {
+            let stop = stop.clone();
+            router.serve_with_incoming_shutdown(incoming, async move { stop.cancelled().await })
+        };
+        let mut serving = std::pin::pin!(serving);
+        let result = tokio::select! {
+            result = &mut serving => Some(result),
+            () = shutdown => None,
+        };
+        let result = match result {
+            Some(result) => result,
+            None => {
+                tracing::info!("shutting down: running requests are answered, streams ended");
+                health.set_not_serving::<EnvironmentServer<Service>>().await;
+                stop.cancel();
+                match tokio::time::timeout(settings.shutdown_timeout, serving).await {
+                    Ok(result) => result,
+                    Err(_) => {
+                        tracing::warn!(
+                            seconds = settings.shutdown_timeout.as_secs_f64(),
+                            "not all connections were closed in time: they are broken off"
+                        );
+                        Ok(())
+                    }
+                }
+            }
+        };
+        stop.cancel();
+        for task in [Some(watch), scraped].into_iter().flatten() {
+            task.abort();
+        }
+        result.map_err(|error| transport_error(&error))
+    }
+}

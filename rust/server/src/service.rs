@@ -1,0 +1,74 @@
+//! The environment service: streams of requests and their answers.
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use tokio_stream::Stream;
+use tonic::transport::server::TlsConnectInfo;
+use tonic::{Request, Response, Status, Streaming};
+
+use crate::listener::Peer;
+use crate::protocol::environment_server::Environment;
+use crate::protocol::{EnvironmentRequest, EnvironmentResponse};
+use crate::session::{Hub, Session};
+
+/// The service.
+#[derive(Clone, Debug)]
+pub(crate) struct Service {
+    pub(crate) hub: Arc<Hub>,
+}
+
+type Answers = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + Send>>;
+
+fn peer(request: &Request<Streaming<EnvironmentRequest>>) -> Result<Peer, Status> {
+    let extensions = request.extensions();
+    let plain = extensions.get::<Peer>();
+    let peer =
+        plain.or_else(|| extensions.get::<TlsConnectInfo<Peer>>().map(TlsConnectInfo::get_ref));
+    peer.copied().ok_or_else(|| Status::internal("the connection is unknown"))
+}
+
+#[tonic::async_trait]
+impl Environment for Service {
+    type ProcessStream = Answers;
+
+    async fn process(
+        &self,
+        request: Request<Streaming<EnvironmentRequest>>,
+    ) -> Result<Response<Answers>, Status> {
+        let peer = peer(&request)?;
+        let hub = Arc::clone(&self.hub);
+        let mut requests = request.into_inner();
+        let mut session = Session::new(Arc::clone(&hub), peer);
+        // One task does everything for a stream: it reads, computes and answers, and the next request
+        // is read when the answer has been taken.
+        let answers = async_stream::stream! {
+            let idle = session.idle();
+            let mut idle = std::pin::pin!(idle.cancelled());
+            let mut stop = std::pin::pin!(hub.stop.cancelled());
+            loop {
+                let request = tokio::select! {
+                    biased;
+                    () = &mut stop => Err(Status::unavailable("the server is shutting down")),
+                    () = &mut idle => Err(Status::deadline_exceeded(format!(
+                        "no request for {} s (idle_timeout)",
+                        hub.limits.idle_timeout.as_secs_f64()
+                    ))),
+                    request = requests.message() => request,
+                };
+                match request {
+                    Ok(Some(request)) => yield Ok(session.answer(request).await),
+                    Ok(None) => break,
+                    Err(status) => {
+                        tracing::debug!(%status, "stream broken off");
+                        yield Err(status);
+                        break;
+                    }
+                }
+                // A client that sends ahead lets the others have their turn.
+                tokio::task::consume_budget().await;
+            }
+        };
+        Ok(Response::new(Box::pin(answers)))
+    }
+}

@@ -1,0 +1,249 @@
+//! What CreateWorld and the resets take.
+
+use std::collections::BTreeMap;
+
+use octoarm_env::EpisodeConfig;
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+use crate::protocol::Tensor;
+use crate::reply::{Answer, Refusal};
+use crate::settings::Limits;
+use crate::tensor::to_json;
+
+/// Steps of an episode, as `gym.make("OctoArm-v0")` has them.
+const MAX_EPISODE_STEPS: i64 = 500;
+/// Before the name of a parameter of the body.
+const ARM: &str = "arm.";
+
+/// A world as it was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct WorldSettings {
+    /// The episodes.
+    pub(crate) config: EpisodeConfig,
+    /// Of the first episode's phase; episode i of a batch takes `seed + i`.
+    pub(crate) seed: Option<u64>,
+    /// Episodes of a batch; without a number the world is a single arm.
+    pub(crate) num_envs: Option<usize>,
+    /// Steps after which an episode is truncated.
+    pub(crate) max_episode_steps: Option<u32>,
+    /// Threads that share a batch's step.
+    pub(crate) threads: usize,
+}
+
+/// How the next episode begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct NextReset {
+    /// Starts the generator of phases anew.
+    pub(crate) seed: Option<u64>,
+    /// Where on the target, in turns from 0 to 1; without one it is drawn.
+    pub(crate) phase: Option<f64>,
+}
+
+/// What is the world's beside the episode's own settings.
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Frame {
+    seed: Option<u64>,
+    num_envs: Option<usize>,
+    max_episode_steps: i64,
+    threads: usize,
+}
+
+const FRAME: [&str; 4] = ["seed", "num_envs", "max_episode_steps", "threads"];
+
+impl Default for Frame {
+    fn default() -> Self {
+        Self { seed: None, num_envs: None, max_episode_steps: MAX_EPISODE_STEPS, threads: 1 }
+    }
+}
+
+fn out_of_range(name: &str, value: impl std::fmt::Display, range: &str) -> Refusal {
+    Refusal::invalid(format!("{name} = {value} is outside the allowed range {range}"))
+}
+
+fn read<T: serde::de::DeserializeOwned>(value: Value) -> Answer<T> {
+    Ok(octoarm_arm::read_json(&value.to_string())?)
+}
+
+impl WorldSettings {
+    /// Reads and checks the settings of CreateWorld; what is left out takes its default.
+    pub(crate) fn from_tensors(
+        tensors: &BTreeMap<String, Tensor>,
+        limits: &Limits,
+    ) -> Answer<Self> {
+        let (mut config, mut frame, mut arm) = (Map::new(), Map::new(), Map::new());
+        for (name, tensor) in tensors {
+            let value = to_json(name, tensor)?;
+            if FRAME.contains(&name.as_str()) {
+                frame.insert(name.clone(), value);
+            } else if let Some(parameter) = name.strip_prefix(ARM) {
+                arm.insert(parameter.to_owned(), value);
+            } else if name == "arm" {
+                return Err(Refusal::invalid(
+                    "arm: its parameters are settings of their own, arm.<name>",
+                ));
+            } else {
+                config.insert(name.clone(), value);
+            }
+        }
+        if !arm.is_empty() {
+            config.insert("arm".to_owned(), Value::Object(arm));
+        }
+        let Frame { seed, num_envs, max_episode_steps, threads } = read(Value::Object(frame))?;
+        let config: EpisodeConfig = read(Value::Object(config))?;
+        config.validate()?;
+
+        if let Some(count) = num_envs
+            && !(1..=limits.max_num_envs).contains(&count)
+        {
+            let range = format!("[1, {}]", limits.max_num_envs);
+            return Err(out_of_range("num_envs", count, &range));
+        }
+        if !(1..=limits.max_threads).contains(&threads) {
+            return Err(out_of_range("threads", threads, &format!("[1, {}]", limits.max_threads)));
+        }
+        let steps = u64::from(config.physics_steps()) * num_envs.unwrap_or(1) as u64;
+        if steps > limits.max_physics_steps {
+            return Err(Refusal::exhausted(format!(
+                "a step of this world would be {steps} physics steps of an arm (control_period / \
+                 arm.timestep * num_envs); this server allows {}",
+                limits.max_physics_steps
+            )));
+        }
+        let max_episode_steps = match max_episode_steps {
+            -1 => None,
+            1.. if max_episode_steps <= i64::from(u32::MAX) => Some(max_episode_steps as u32),
+            other => {
+                return Err(out_of_range(
+                    "max_episode_steps",
+                    other,
+                    "[1, 2^32), or -1 for no end",
+                ));
+            }
+        };
+        Ok(Self { config, seed, num_envs, max_episode_steps, threads })
+    }
+}
+
+impl NextReset {
+    /// Reads and checks the settings of a reset.
+    pub(crate) fn from_tensors(tensors: &BTreeMap<String, Tensor>) -> Answer<Self> {
+        let settings: Map<String, Value> = tensors
+            .iter()
+            .map(|(name, tensor)| Ok((name.clone(), to_json(name, tensor)?)))
+            .collect::<Answer<_>>()?;
+        let next: Self = read(Value::Object(settings))?;
+        match next.phase {
+            Some(phase) if !(0.0..=1.0).contains(&phase) => {
+                Err(out_of_range("phase", phase, "[0, 1] turns"))
+            }
+            _ => Ok(next),
+        }
+    }
+
+    /// What is asked for later goes before what was asked for earlier.
+    pub(crate) fn overlay(&mut self, later: Self) {
+        self.seed = later.seed.or(self.seed);
+        self.phase = later.phase.or(self.phase);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use octoarm_env::{Target, TargetName};
+
+    use super::*;
+    use crate::tensor::{bools, doubles, integer, text, unsigned};
+
+    fn settings(pairs: &[(&str, Tensor)]) -> Answer<WorldSettings> {
+        let map = pairs.iter().map(|(name, tensor)| ((*name).to_owned(), tensor.clone())).collect();
+        WorldSettings::from_tensors(&map, &Limits::default())
+    }
+
+    #[test]
+    fn what_is_left_out_takes_its_default() {
+        let world = settings(&[]).expect("world");
+        assert_eq!(world.config, EpisodeConfig::default());
+        assert_eq!((world.num_envs, world.max_episode_steps, world.seed), (None, Some(500), None));
+    }
+
+    #[test]
+    fn every_kind_of_setting_is_read() {
+        let world = settings(&[
+            ("target", text("lissajous")),
+            ("amplitude", doubles(vec![12.0], &[])),
+            ("actuator", text("direct")),
+            ("arm.compartments", integer(4)),
+            ("arm.area_scale", doubles(vec![0.5], &[])),
+            ("seed", unsigned(u64::MAX)),
+            ("num_envs", doubles(vec![3.0], &[])),
+            ("max_episode_steps", integer(-1)),
+        ])
+        .expect("world");
+        assert_eq!(world.config.target, Target::Named(TargetName::Lissajous));
+        assert_eq!(world.config.amplitude, Some(12.0));
+        assert_eq!(world.config.arm.compartments, 4);
+        assert_eq!(world.config.arm.area_scale.to_bits(), 0.5_f64.to_bits());
+        assert_eq!((world.seed, world.num_envs), (Some(u64::MAX), Some(3)));
+        assert_eq!(world.max_episode_steps, None);
+
+        let square = vec![0.5, 0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5];
+        let samples = settings(&[("target", doubles(square, &[-1, 2]))]);
+        let samples = samples.map(|world| world.config.target);
+        let rows = vec![[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]];
+        assert_eq!(samples, Ok(Target::Samples(rows)));
+    }
+
+    #[test]
+    fn bad_settings_are_named() {
+        let scalar = |value: f64| doubles(vec![value], &[]);
+        for (name, tensor, expected) in [
+            ("amplitude", scalar(-3.0), "amplitude = -3"),
+            ("amplitude", scalar(f64::INFINITY), "amplitude = inf"),
+            ("amplitude", text("big"), "amplitude: invalid type"),
+            ("target", text("square"), "target: "),
+            ("colour", integer(1), "colour"),
+            ("arm", text("{}"), "arm.<name>"),
+            ("arm.colour", integer(1), "arm"),
+            ("arm.timestep", scalar(-1.0), "timestep = -1"),
+            ("arm.compartments", scalar(2.5), "arm.compartments: invalid type"),
+            ("seed", integer(-1), "seed: invalid value"),
+            ("seed", bools(vec![true], &[]), "seed: invalid type"),
+            ("num_envs", integer(0), "num_envs = 0"),
+            ("num_envs", integer(1_000_000), "num_envs = 1000000"),
+            ("threads", integer(0), "threads = 0"),
+            ("max_episode_steps", integer(0), "max_episode_steps = 0"),
+            ("max_episode_steps", integer(-2), "max_episode_steps = -2"),
+            ("control_period", scalar(0.0105), "control_period = 0.0105"),
+        ] {
+            let message = settings(&[(name, tensor)]).expect_err(name).message;
+            assert!(message.contains(expected), "{name}: {message}");
+        }
+        let much = settings(&[("control_period", scalar(10.0)), ("num_envs", integer(1024))]);
+        let refusal = much.expect_err("too much");
+        assert_eq!(refusal.code, tonic::Code::ResourceExhausted);
+        assert!(refusal.message.contains("10240000 physics steps"), "{}", refusal.message);
+    }
+
+    #[test]
+    fn resets_take_a_seed_and_a_phase() {
+        let read = |name: &str, tensor: Tensor| {
+            NextReset::from_tensors(&BTreeMap::from([(name.to_owned(), tensor)]))
+        };
+        let next = read("phase", doubles(vec![0.25], &[])).expect("phase");
+        assert_eq!(next, NextReset { seed: None, phase: Some(0.25) });
+        assert_eq!(read("seed", integer(3)).map(|next| next.seed), Ok(Some(3)));
+        assert!(
+            read("phase", doubles(vec![1.5], &[]))
+                .expect_err("bad")
+                .message
+                .contains("phase = 1.5")
+        );
+        assert!(read("amplitude", integer(3)).expect_err("bad").message.contains("amplitude"));
+        let mut first = NextReset { seed: Some(1), phase: Some(0.5) };
+        first.overlay(NextReset { seed: Some(2), phase: None });
+        assert_eq!(first, NextReset { seed: Some(2), phase: Some(0.5) });
+    }
+}
