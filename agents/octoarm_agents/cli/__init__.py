@@ -17,6 +17,7 @@ from octoarm_agents.cli import (
     inspect,
     record,
     reproduce,
+    serve,
     train,
     tune,
     watch,
@@ -28,7 +29,7 @@ app = typer.Typer(
     name="octoarm",
     help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir: demonstration, "
     "the paper's results, calibration, analysis, training of networks, comparison, "
-    "pictures and films, benchmark.",
+    "pictures and films, benchmark, server.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -41,6 +42,11 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("watch")(watch.watch)
 app.command("record")(record.record)
 app.command("inspect")(inspect.inspect)
+app.command(
+    "serve",
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)(serve.serve)
 app.command("compare")(compare.compare)
 app.command("tune")(tune.tune)
 app.add_typer(analyse.app, name="analyse")

@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicI64, AtomicU64};
 
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, text};
-use prometheus_client::metrics::counter::{ConstCounter, Counter};
+use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::protocol::environment_request::Payload;
@@ -93,31 +94,14 @@ impl Collector for Process {
     }
 }
 
-/// The server's version.
-#[derive(Debug)]
-struct Build;
-
-impl Collector for Build {
-    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> Result<(), std::fmt::Error> {
-        let one = ConstCounter::new(1_u64);
-        let mut encoder = encoder.encode_descriptor(
-            "octoarm_build",
-            "The server's version",
-            None,
-            one.metric_type(),
-        )?;
-        let labels = [("version", env!("CARGO_PKG_VERSION"))];
-        one.encode(encoder.encode_family(&labels)?)
-    }
-}
-
 impl Metrics {
     /// All at zero.
     pub(crate) fn new() -> Arc<Self> {
         let mut registry = Registry::default();
         registry.register_collector(Box::new(Process));
-        registry.register_collector(Box::new(Build));
         let registry_ref = registry.sub_registry_with_prefix("octoarm");
+        let version = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
+        registry_ref.register("build", "The server's version", version);
         let counts: Family<Labels, Count> = Family::default();
         // From 10 µs to 2.6 s.
         let times: Family<Labels, Histogram> =

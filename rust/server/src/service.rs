@@ -2,6 +2,7 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use tokio_stream::Stream;
 use tonic::transport::server::TlsConnectInfo;
@@ -19,6 +20,27 @@ pub(crate) struct Service {
 }
 
 type Answers = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + Send>>;
+
+/// Looks for the next request for a while without sleeping; none, if it takes longer. To wake a
+/// sleeping processor costs more than most requests.
+async fn look(
+    requests: &mut Streaming<EnvironmentRequest>,
+    time: Duration,
+) -> Option<Result<Option<EnvironmentRequest>, Status>> {
+    let end = Instant::now() + time;
+    while Instant::now() < end {
+        let found = tokio::select! {
+            biased;
+            request = requests.message() => Some(request),
+            () = std::future::ready(()) => None,
+        };
+        if found.is_some() {
+            return found;
+        }
+        tokio::task::yield_now().await;
+    }
+    None
+}
 
 fn peer(request: &Request<Streaming<EnvironmentRequest>>) -> Result<Peer, Status> {
     let extensions = request.extensions();
@@ -46,8 +68,9 @@ impl Environment for Service {
             let idle = session.idle();
             let mut idle = std::pin::pin!(idle.cancelled());
             let mut stop = std::pin::pin!(hub.stop.cancelled());
+            let mut early = None;
             loop {
-                let request = tokio::select! {
+                let request = if let Some(request) = early.take() { request } else { tokio::select! {
                     biased;
                     () = &mut stop => Err(Status::unavailable("the server is shutting down")),
                     () = &mut idle => Err(Status::deadline_exceeded(format!(
@@ -55,7 +78,7 @@ impl Environment for Service {
                         hub.limits.idle_timeout.as_secs_f64()
                     ))),
                     request = requests.message() => request,
-                };
+                } };
                 match request {
                     Ok(Some(request)) => yield Ok(session.answer(request).await),
                     Ok(None) => break,
@@ -65,8 +88,12 @@ impl Environment for Service {
                         break;
                     }
                 }
-                // A client that sends ahead lets the others have their turn.
-                tokio::task::consume_budget().await;
+                if hub.quiet() {
+                    early = look(&mut requests, hub.limits.busy_poll).await;
+                } else {
+                    // A client that sends ahead lets the others have their turn.
+                    tokio::task::consume_budget().await;
+                }
             }
         };
         Ok(Response::new(Box::pin(answers)))

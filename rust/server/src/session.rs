@@ -23,7 +23,7 @@ use crate::protocol::{
     StepRequest, StepResponse,
 };
 use crate::reply::{Answer, Refusal};
-use crate::settings::Limits;
+use crate::settings::{Limits, cores};
 use crate::specs::{ACTION, Observation, Specs};
 use crate::tensor::doubles_of;
 use crate::world::{World, Worlds};
@@ -46,6 +46,7 @@ pub(crate) struct Hub {
     streams: Mutex<BTreeMap<u64, Arc<Record>>>,
     started: Instant,
     numbers: AtomicU64,
+    cores: i64,
 }
 
 /// What a stream has joined.
@@ -88,7 +89,13 @@ impl Hub {
             streams: Mutex::default(),
             started: Instant::now(),
             numbers: AtomicU64::new(1),
+            cores: cores() as i64,
         })
+    }
+
+    /// Whether the streams are so few that half of the processor's cores can wait for them.
+    pub(crate) fn quiet(&self) -> bool {
+        !self.limits.busy_poll.is_zero() && 2 * self.metrics.streams.get() <= self.cores
     }
 
     fn now(&self) -> u64 {

@@ -1,0 +1,30 @@
+"""What the tests of the server share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from octoarm_agents.serving import ServerProcess
+
+
+def _use_what_cargo_built() -> None:
+    """Test the program of this checkout: `cargo test` builds it before these tests run."""
+    target = Path(__file__).parents[2] / "target"
+    built = [path for path in target.glob("*/octoarm-server") if path.is_file()]
+    if built:
+        newest = max(built, key=lambda path: path.stat().st_mtime)
+        os.environ.setdefault("OCTOARM_SERVER_FOLDER", str(newest.parent))
+
+
+_use_what_cargo_built()
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[ServerProcess]:
+    """A server with its default settings, for all tests that do not ask for others."""
+    with ServerProcess("--metrics-port", "0") as process:
+        yield process
+        assert process.process.poll() is None, process.log
