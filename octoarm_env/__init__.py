@@ -53,3 +53,9 @@ register(
     vector_entry_point="octoarm_env.vector:OctoArmVectorEnv",
     max_episode_steps=500,
 )
+# The same on a server, octoarm_env.remote.
+register(
+    id="OctoArmRemote-v0",
+    entry_point="octoarm_env.remote:RemoteOctoArm",
+    max_episode_steps=500,
+)

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
+from octoarm_env.episode import EpisodeCore
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
@@ -152,7 +153,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             reward_width,
             action_change_weight,
         )
-        self._core = _core.Episode(settings)
+        self._core = self._episode(settings)
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
@@ -269,6 +270,10 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         """Centres of the arm's planes in the world frame, base first, (N + 1, 3) [m]."""
         return self._core.positions
 
+    def _episode(self, settings: str) -> EpisodeCore:
+        """Make the episode behind this environment."""
+        return _core.Episode(settings)
+
     @property
     def _subject(self) -> Subject:
         return Subject(self._core.joints, lambda: (self.orbit, self.action_range))
@@ -289,5 +294,5 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         config, episode = state.pop("_saved")
         self.__dict__.update(state)
-        self._core = _core.Episode(config)
+        self._core = self._episode(config)
         self._core.load(episode)

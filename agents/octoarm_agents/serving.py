@@ -73,7 +73,8 @@ class ServerProcess:
     def __init__(self, *arguments: str, environment: Mapping[str, str] | None = None) -> None:
         if "--port" not in arguments:
             arguments = ("--port", "0", *arguments)
-        self._log = tempfile.TemporaryFile("w+", encoding="utf-8")
+        # Kept open as long as the server writes into it.
+        self._log = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
         self.process = subprocess.Popen(
             [str(find_program()), *arguments],
             stdin=subprocess.DEVNULL,

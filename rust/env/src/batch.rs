@@ -510,6 +510,7 @@ impl EpisodeBatch {
     pub fn set_state(&mut self, state: &BatchState) -> Result<(), ParameterError> {
         self.check_len("state.episodes", state.episodes.len())?;
         self.check_len("state.seats", state.seats.len())?;
+        state.episodes.iter().try_for_each(EpisodeState::check)?;
         let before: Vec<ArmState> = (0..self.count).map(|index| self.arm_state(index)).collect();
         let restored = state.episodes.iter().enumerate().try_for_each(|(index, episode)| {
             self.groups[index / WIDTH].lanes.set_state(index % WIDTH, &episode.arm)

@@ -44,6 +44,35 @@ pub struct EpisodeState {
     pub generator: Pcg64,
 }
 
+/// Largest control instant of a saved state: every one up to it is a double.
+const LATEST: u64 = 1 << 53;
+/// Largest angle \[degrees\] or rate \[degrees/s\] of a saved state's clock.
+const WIDEST: f64 = 1e9;
+
+impl EpisodeState {
+    /// Checks what is not the arm's; a state may come from anywhere.
+    pub(crate) fn check(&self) -> Result<(), ParameterError> {
+        let refuse = |name: String, value: String, range: String| {
+            Err(ParameterError::OutOfRange { name, value, range })
+        };
+        if self.tick.unsigned_abs() > LATEST {
+            return refuse(
+                "tick".to_owned(),
+                self.tick.to_string(),
+                format!("[-{LATEST}, {LATEST}]"),
+            );
+        }
+        for (index, value) in self.clock.into_iter().enumerate() {
+            // Written so that a NaN fails too.
+            if !(-WIDEST..=WIDEST).contains(&value) {
+                let range = format!("[-{WIDEST}, {WIDEST}]");
+                return refuse(format!("clock[{index}]"), value.to_string(), range);
+            }
+        }
+        check_action(self.action, |axis| format!("action[{axis}]"))
+    }
+}
+
 /// An episode without its arm.
 #[derive(Clone, Debug)]
 pub(crate) struct Course {
@@ -227,6 +256,15 @@ pub(crate) fn check_action(
         }
     }
     Ok(())
+}
+
+/// Checks what a step is asked: an action, each entry in [−1, 1], of an episode that runs.
+///
+/// # Errors
+/// [`ParameterError::OutOfRange`] that names the entry, or says that no episode runs.
+pub fn check_step(action: [f64; 2], running: bool) -> Result<(), ParameterError> {
+    check_action(action, |axis| format!("action[{axis}]"))?;
+    if running { Ok(()) } else { Err(not_running("step".to_owned())) }
 }
 
 /// The refusal of a step outside an episode.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use octoarm_arm::{Arm, ParameterError, domain};
 
 use crate::config::EpisodeConfig;
-use crate::course::{Course, EpisodeState, Outcome, check_action, not_running};
+use crate::course::{Course, EpisodeState, Outcome, check_step};
 use crate::swing::{Swing, control_step};
 
 /// An arm that follows a target.
@@ -117,10 +117,7 @@ impl Episode {
     /// [`ParameterError::OutOfRange`] for an action outside its bounds or a step without a reset;
     /// nothing is changed then.
     pub fn step(&mut self, action: [f64; 2]) -> Result<Outcome, ParameterError> {
-        check_action(action, |axis| format!("action[{axis}]"))?;
-        if !self.course.running() {
-            return Err(not_running("step".to_owned()));
-        }
+        check_step(action, self.course.running())?;
         let command = self.course.command(action);
         let failure = control_step(&mut self.arm, command, self.course.physics_steps()).err();
         Ok(self.course.finish(action, self.arm.base_degrees(), failure))
@@ -137,6 +134,7 @@ impl Episode {
     /// # Errors
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &EpisodeState) -> Result<(), ParameterError> {
+        state.check()?;
         self.arm.set_state(&state.arm)?;
         self.course.set_state(state);
         Ok(())

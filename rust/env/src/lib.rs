@@ -17,7 +17,7 @@ mod workers;
 pub use arm_batch::{ArmBatch, Stop};
 pub use batch::{Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last};
 pub use config::{EpisodeConfig, Target, TargetName};
-pub use course::{EpisodeState, Outcome};
+pub use course::{EpisodeState, Outcome, check_step};
 pub use episode::Episode;
 pub use orbit::Orbit;
 pub use reward::{Reward, RewardTerms};

@@ -36,6 +36,18 @@ fn action(value: &Bound<'_, PyAny>) -> PyResult<[f64; 2]> {
     Ok([numbers[0], numbers[1]])
 }
 
+/// The action of a step as two numbers, after the checks that the step of an episode makes.
+#[pyfunction]
+pub(crate) fn check_step<'py>(
+    py: Python<'py>,
+    action: &Bound<'py, PyAny>,
+    running: bool,
+) -> PyResult<Vector<'py>> {
+    let action = self::action(action)?;
+    octoarm_env::check_step(action, running).map_err(invalid)?;
+    Ok(PyArray1::from_slice(py, &action))
+}
+
 fn named(name: &str) -> PyResult<TargetName> {
     serde_json::from_value(name.into())
         .map_err(|error| PyValueError::new_err(format!("target = {name:?}: {error}")))

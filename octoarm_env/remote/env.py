@@ -1,0 +1,195 @@
+"""The environment whose episode is computed by a server."""
+
+from __future__ import annotations
+
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from octoarm_env import _core
+from octoarm_env.env import OctoArmEnv
+from octoarm_env.remote.connection import Connection
+from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
+
+__all__ = ["RemoteOctoArm"]
+
+Float = NDArray[np.float64]
+
+_RUNNING, _TERMINATED = 1, 2
+_INFO = ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change")
+_OBSERVED = ("spring_lengths", "reward", *_INFO, "failure")
+
+
+class RemoteEpisode:
+    """An episode in a world of its own on a server."""
+
+    def __init__(self, connection: Connection, settings: str) -> None:
+        self._connection = connection
+        world = connection.create_world(_world_settings(settings))
+        specs = connection.join_world(world)
+        observations = {spec.name: uid for uid, spec in specs.observations.items()}
+        (self._action,) = (uid for uid, spec in specs.actions.items() if spec.name == "action")
+        self._uids = {name: observations[name] for name in _OBSERVED}
+        lengths = specs.observations[self._uids["spring_lengths"]]
+        self.observation_len = int(lengths.shape[0])
+        self.observation_bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
+        self._running = False
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def seed(self, seed: int) -> None:
+        self._connection.write("seed", seed)
+
+    def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]:
+        request = EnvironmentRequest()
+        request.reset.SetInParent()
+        if phase is not None:
+            pack(request.reset.settings["phase"], phase)
+        self._connection.post(request)
+        # A refused reset changes nothing, so nothing may follow it.
+        self._connection.answer("reset")
+        self._connection.post(self._step_request())
+        lengths, _, _, info = self._answer()
+        return lengths, info
+
+    def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]:
+        checked = _core.check_step(action, self._running)
+        request = self._step_request()
+        tensor = request.step.actions[self._action]
+        tensor.doubles.array.extend(checked.tolist())
+        tensor.shape.append(2)
+        self._connection.post(request)
+        return self._answer()
+
+    def _step_request(self) -> Any:
+        request = EnvironmentRequest()
+        request.step.requested_observations.extend(self._uids.values())
+        return request
+
+    def _answer(self) -> tuple[Float, float, bool, dict[str, Any]]:
+        step = self._connection.answer("step")
+        found = step.observations
+        self._running = step.state == _RUNNING
+        terminated = step.state == _TERMINATED
+        info = {name: unpack(found[self._uids[name]]) for name in _INFO}
+        if terminated:
+            info["failure"] = unpack(found[self._uids["failure"]])
+        lengths = unpack(found[self._uids["spring_lengths"]])
+        return lengths, unpack(found[self._uids["reward"]]), terminated, info
+
+    def teacher_action(self) -> Float:
+        return self._table("teacher_action")
+
+    def save(self) -> str:
+        return str(self._read("state"))
+
+    def load(self, state: str) -> None:
+        self._connection.write("state", state)
+        self._running = bool(json.loads(state)["running"])
+
+    def _read(self, key: str) -> Any:
+        return self._connection.read([key])[0]
+
+    def _table(self, key: str) -> Float:
+        return np.asarray(self._read(key), np.float64)
+
+    @cached_property
+    def config(self) -> str:
+        return str(self._read("settings"))
+
+    @cached_property
+    def action_range(self) -> float:
+        return float(self._read("action_range"))
+
+    @cached_property
+    def amplitude(self) -> float:
+        return float(self._read("amplitude"))
+
+    @cached_property
+    def period(self) -> float:
+        return float(self._read("period"))
+
+    @property
+    def orbit(self) -> Float:
+        return self._table("orbit")
+
+    @property
+    def joints(self) -> Float:
+        return self._table("arm_joints")
+
+    @property
+    def positions(self) -> Float:
+        return self._table("arm_positions")
+
+
+class RemoteOctoArm(OctoArmEnv):
+    """``OctoArm-v0`` computed by a server: the same environment, the same bits, over gRPC.
+
+    Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
+    :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
+    freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
+    token, and goes on in a world of its own on the same server.
+
+    Args:
+        address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``
+            for TLS.
+        token: what a server that asks for one is told; never sent to another machine without TLS.
+        certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
+            None: the machine's usual ones.
+        timeout: time to wait for the server at the begin [s].
+        arguments: those of :class:`octoarm_env.OctoArmEnv`, by name.
+
+    Raises:
+        ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
+        ConnectionError: nobody answers; and from any method, when the stream breaks.
+        PermissionError: the server wants a token, or another one.
+        RemoteError: the server refuses, such as for too many worlds.
+
+    As with the local environment, ``gym.make("OctoArmRemote-v0", address=...)`` adds the time limit
+    of 500 steps; this class alone has none. gRPC does not survive a fork: start processes that step
+    environments by ``"spawn"`` or ``"forkserver"``, or before the first environment is made.
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1:50051",
+        *,
+        token: str | None = None,
+        certificate: str | Path | None = None,
+        timeout: float = 10.0,
+        **arguments: Any,
+    ) -> None:
+        self._server = (address, token, certificate, timeout)
+        super().__init__(**arguments)
+
+    def _episode(self, settings: str) -> RemoteEpisode:
+        address, token, certificate, timeout = self._server
+        connection = Connection(address, token=token, certificate=certificate, timeout=timeout)
+        try:
+            return RemoteEpisode(connection, settings)
+        except BaseException:
+            connection.close()
+            raise
+
+    def close(self) -> None:
+        """Close the window, if there is one, and the stream; the server frees the world."""
+        super().close()
+        core = self._core
+        assert isinstance(core, RemoteEpisode)
+        core.close()
+
+
+def _world_settings(settings: str) -> dict[str, Any]:
+    """The settings of an episode as those of a world that does not end by itself."""
+    world: dict[str, Any] = {"max_episode_steps": -1}
+    for name, value in json.loads(settings).items():
+        if isinstance(value, dict):
+            world |= {f"{name}.{field}": entry for field, entry in value.items()}
+        elif value is not None:
+            world[name] = value
+    return world
