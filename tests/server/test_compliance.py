@@ -13,6 +13,7 @@ import dm_env
 import grpc
 import numpy as np
 import pytest
+from absl.testing import absltest
 from dm_env import test_utils
 from dm_env_rpc.v1 import (
     compliance,
@@ -183,7 +184,7 @@ class TestAdaptor:
             assert step.mid()
 
 
-class TestDmEnvConformance(test_utils.EnvironmentTestMixin):
+class TestDmEnvConformance(test_utils.EnvironmentTestMixin, absltest.TestCase):
     """`dm_env`'s own test of an environment, through the adaptor."""
 
     @pytest.fixture(autouse=True)
