@@ -74,10 +74,6 @@ impl Report<'_> {
         match observation {
             Observation::SpringLengths => tensor::doubles((self.lengths)(), shape),
             Observation::Reward => tensor::doubles(self.rewards.to_vec(), shape),
-            Observation::Discount => {
-                let discounts = self.terminated.iter().map(|ended| f64::from(u8::from(!ended)));
-                tensor::doubles(discounts.collect(), shape)
-            }
             Observation::BaseAngles => pairs(|outcome| outcome.base),
             Observation::Target => pairs(|outcome| outcome.target),
             Observation::TrackingError => numbers(|outcome| outcome.tracking_error),

@@ -450,3 +450,6 @@ impl Session {
         Ok(DestroyWorldResponse {})
     }
 }
+
+#[cfg(test)]
+mod tests;

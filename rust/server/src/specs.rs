@@ -15,32 +15,30 @@ pub(crate) const ACTION: u64 = 1;
 pub(crate) enum Observation {
     SpringLengths,
     Reward,
-    Discount,
     BaseAngles,
     Target,
     TrackingError,
     RewardTracking,
     RewardActionChange,
+    Failure,
     Terminated,
     Truncated,
-    Failure,
 }
 
 use Observation as O;
 
 impl Observation {
-    pub(crate) const ALL: [Self; 11] = [
+    pub(crate) const ALL: [Self; 10] = [
         O::SpringLengths,
         O::Reward,
-        O::Discount,
         O::BaseAngles,
         O::Target,
         O::TrackingError,
         O::RewardTracking,
         O::RewardActionChange,
+        O::Failure,
         O::Terminated,
         O::Truncated,
-        O::Failure,
     ];
 
     /// The observation of a number on the wire.
@@ -64,7 +62,6 @@ impl Observation {
         match self {
             O::SpringLengths => "spring_lengths",
             O::Reward => "reward",
-            O::Discount => "discount",
             O::BaseAngles => "base_angles",
             O::Target => "target",
             O::TrackingError => "tracking_error",
@@ -118,7 +115,6 @@ impl Specs {
             let (min, max) = match observation {
                 O::SpringLengths => (Some(low * length), Some(high * length)),
                 O::Reward => (Some(change), Some(config.tracking_weight)),
-                O::Discount => (Some(0.0), Some(1.0)),
                 O::Target => (Some(-target), Some(target)),
                 O::TrackingError => (Some(0.0), None),
                 O::RewardTracking => (Some(0.0), Some(config.tracking_weight)),
