@@ -28,8 +28,8 @@ class ServerNotFoundError(FileNotFoundError):
 def find_program(name: str = "octoarm-server") -> Path:
     """Find a program of the server.
 
-    It is looked for in the folder that the environment variable ``OCTOARM_SERVER_FOLDER`` names (and
-    nowhere else, if it does), where this Python has its scripts, on the path, and, when this
+    It is looked for in the folder that the environment variable ``OCTOARM_SERVER_FOLDER`` names
+    (and nowhere else, if it does), where this Python has its scripts, on the path, and, when this
     package lies in a checkout, among what cargo has built there, the newest first.
 
     Raises:

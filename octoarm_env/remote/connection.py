@@ -75,8 +75,10 @@ class Connection:
                 "use https:// or a certificate"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        # The answer to a step of many arms may be large; a dead server is noticed.
+        # The answer to a step of many arms may be large; a dead server is noticed; streams that share
+        # a connection would wait for each other where a server allows it only so many.
         options = [
+            ("grpc.use_local_subchannel_pool", 1),
             ("grpc.max_receive_message_length", -1),
             ("grpc.keepalive_time_ms", 30_000),
             ("grpc.keepalive_timeout_ms", 20_000),

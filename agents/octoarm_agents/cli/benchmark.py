@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from octoarm_agents.benchmark.pictures import PictureResult
+    from octoarm_agents.benchmark.server import ServerResult
     from octoarm_agents.benchmark.speed import Ratio, SpeedResult, Spread
 
 _Result = TypeVar("_Result")
@@ -50,6 +51,9 @@ def benchmark(
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Time pictures instead of the physics.")
     ] = False,
+    server: Annotated[
+        bool, typer.Option("--server", help="Load a server instead of timing the physics.")
+    ] = False,
 ) -> None:
     """Time one arm, batches of 1 to 1024, the environments and their peers, in one run.
 
@@ -63,13 +67,30 @@ def benchmark(
     With --pictures: pictures of the environments in several sizes, beside those of Gymnasium's
     pygame environments and of MuJoCo's renderer, and what a step pays for pictures that nobody
     draws.
+
+    With --server: steps a second and round trips of octoarm-server over loopback, with 1, 16 and
+    128 connections, beside two servers of the same environment in Python (grpcio, with threads and
+    with asyncio), and of clients in Python. The load comes from the same machine and takes its part
+    of the processor.
     """
     from rich.console import Console
 
     from octoarm_agents.files import write_json
+    from octoarm_agents.serving import ServerNotFoundError
 
-    result: SpeedResult | PictureResult
-    if pictures:
+    if pictures and server:
+        raise typer.BadParameter("not together with --pictures.", param_hint="'--server'")
+    result: SpeedResult | PictureResult | ServerResult
+    if server:
+        with need_extra("benchmark"):
+            from octoarm_agents.benchmark.server import measure_server
+        try:
+            result = _watched(measure_server, seconds, rounds)
+        except (ServerNotFoundError, RuntimeError) as error:
+            typer.echo(str(error), err=True)
+            raise typer.Exit(1) from None
+        show = partial(_show_server, result)
+    elif pictures:
         with need_extra("render"):
             from octoarm_agents.benchmark.pictures import measure_pictures
         result = _watched(measure_pictures, seconds, rounds)
@@ -138,6 +159,44 @@ def _show_pictures(result: PictureResult, console: Console, content: dict[str, A
         console.print(f"MuJoCo draws with {result.opengl}.", soft_wrap=True, markup=False)
     for name, reason in result.left_out.items():
         console.print(f"{name} left out: {reason}", soft_wrap=True, markup=False)
+
+
+def _show_server(result: ServerResult, console: Console, content: dict[str, Any]) -> None:
+    console.print(_loads(result))
+    console.print(_comparisons(result.ratios()))
+    target = content["target"]
+    reached = "reached" if target["reached"] else "missed"
+    medians = " and ".join(f"{median:.0f}" for median in target["median_us"].values())
+    console.print(
+        f"Target, at most {target['over_physics_us']:g} µs of a single connection's round trip "
+        f"beyond the physics: {reached}, {medians} µs.",
+        soft_wrap=True,
+    )
+    console.print(_machine(content), soft_wrap=True)
+    for name, reason in result.left_out.items():
+        console.print(f"{name} left out: {reason}", soft_wrap=True, markup=False)
+
+
+def _loads(result: ServerResult) -> Table:
+    """Medians over rounds."""
+    from rich.table import Table
+
+    table = Table(
+        title=f"Steps a second, and microseconds of a step; medians of {result.rounds} rounds",
+        title_justify="left",
+    )
+    table.add_column("")
+    for heading in ("connections", "ms", "steps/s", "p50", "p90", "p99", "p99.9"):
+        table.add_column(heading, justify="right")
+    for name, load in result.loads.items():
+        table.add_row(
+            load.contender,
+            str(load.connections) if load.connections else "–",
+            f"{1000 * load.period:g}",
+            f"{result.rates(name).median:,.0f}",
+            *(f"{spread.median:,.0f}" for spread in result.round_trips(name).values()),
+        )
+    return table
 
 
 def _picture_times(result: PictureResult) -> Table:

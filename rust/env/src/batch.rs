@@ -243,33 +243,62 @@ impl EpisodeBatch {
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
-        let refuse = |name: &str, value: String, range: &str| {
-            let (name, range) = (name.to_owned(), range.to_owned());
-            Err(ParameterError::OutOfRange { name, value, range })
-        };
-        let workers = Workers::new(threads)?;
-        if max_episode_steps == Some(0) {
-            return refuse("max_episode_steps", "0".to_owned(), "of positive numbers");
+        let compartments = configs.first().map(|config| config.arm.compartments);
+        if let Some(other) =
+            configs.iter().find(|other| Some(other.arm.compartments) != compartments)
+        {
+            return Err(ParameterError::OutOfRange {
+                name: "arm.compartments".to_owned(),
+                value: other.arm.compartments.to_string(),
+                range: "of one number for all environments".to_owned(),
+            });
         }
-        let count = configs.len();
-        if count == 0 {
-            return refuse("num_envs", "0".to_owned(), "of positive numbers");
-        }
-        let compartments = configs[0].arm.compartments;
-        if let Some(other) = configs.iter().find(|other| other.arm.compartments != compartments) {
-            return refuse(
-                "arm.compartments",
-                other.arm.compartments.to_string(),
-                "of one number for all environments",
-            );
-        }
-        let mut courses: Vec<Course> = Vec::with_capacity(count);
+        let mut courses: Vec<Course> = Vec::with_capacity(configs.len());
         for config in configs {
             let course = match courses.last() {
                 Some(before) if *before.config() == config => before.clone(),
                 _ => Course::new(Arc::new(config))?,
             };
             courses.push(course);
+        }
+        Self::of(courses, max_episode_steps, autoreset, threads)
+    }
+
+    /// [`EpisodeBatch::new`] with one configuration for `count` episodes, which share it.
+    ///
+    /// # Errors
+    /// As [`EpisodeBatch::new`].
+    pub fn uniform(
+        config: EpisodeConfig,
+        count: usize,
+        max_episode_steps: Option<u32>,
+        autoreset: Autoreset,
+        threads: Option<usize>,
+    ) -> Result<Self, ParameterError> {
+        let course = Course::new(Arc::new(config))?;
+        Self::of(vec![course; count], max_episode_steps, autoreset, threads)
+    }
+
+    fn of(
+        courses: Vec<Course>,
+        max_episode_steps: Option<u32>,
+        autoreset: Autoreset,
+        threads: Option<usize>,
+    ) -> Result<Self, ParameterError> {
+        let refuse = |name: &str| {
+            Err(ParameterError::OutOfRange {
+                name: name.to_owned(),
+                value: "0".to_owned(),
+                range: "of positive numbers".to_owned(),
+            })
+        };
+        let workers = Workers::new(threads)?;
+        if max_episode_steps == Some(0) {
+            return refuse("max_episode_steps");
+        }
+        let count = courses.len();
+        if count == 0 {
+            return refuse("num_envs");
         }
         let mut groups = Vec::with_capacity(count.div_ceil(WIDTH));
         let mut courses = courses.into_iter();
@@ -346,6 +375,12 @@ impl EpisodeBatch {
     #[must_use]
     pub fn ended(&self) -> Vec<bool> {
         self.groups.iter().flat_map(|group| group.seats.iter().map(|seat| seat.ended)).collect()
+    }
+
+    /// Whether every episode was begun by a reset.
+    #[must_use]
+    pub fn begun(&self) -> bool {
+        self.groups.iter().all(|group| group.seats.iter().all(|seat| seat.begun))
     }
 
     /// Where every episode stands, as if it began there.

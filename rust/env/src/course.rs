@@ -46,7 +46,7 @@ pub struct EpisodeState {
 
 /// Largest control instant of a saved state: every one up to it is a double.
 const LATEST: u64 = 1 << 53;
-/// Largest angle \[degrees\] or rate \[degrees/s\] of a saved state's clock.
+/// Largest angle or rate of a saved state's clock \[degrees, degrees/s\] and base \[rad, rad/s\].
 const WIDEST: f64 = 1e9;
 
 impl EpisodeState {
@@ -62,11 +62,13 @@ impl EpisodeState {
                 format!("[-{LATEST}, {LATEST}]"),
             );
         }
-        for (index, value) in self.clock.into_iter().enumerate() {
-            // Written so that a NaN fails too.
-            if !(-WIDEST..=WIDEST).contains(&value) {
-                let range = format!("[-{WIDEST}, {WIDEST}]");
-                return refuse(format!("clock[{index}]"), value.to_string(), range);
+        for (name, values) in [("clock", self.clock), ("arm.base", self.arm.base)] {
+            for (index, value) in values.into_iter().enumerate() {
+                // Written so that a NaN fails too.
+                if !(-WIDEST..=WIDEST).contains(&value) {
+                    let range = format!("[-{WIDEST}, {WIDEST}]");
+                    return refuse(format!("{name}[{index}]"), value.to_string(), range);
+                }
             }
         }
         check_action(self.action, |axis| format!("action[{axis}]"))
@@ -93,8 +95,17 @@ impl Course {
     pub(crate) fn new(config: Arc<EpisodeConfig>) -> Result<Self, ParameterError> {
         let swing = Swing::shared(&config)?;
         let amplitude = swing.orbit.amplitude();
+        let reward = config.reward(amplitude);
+        // The tracking error is divided by it; a product of two positive numbers may be too small.
+        if !reward.width.is_normal() {
+            return Err(ParameterError::OutOfRange {
+                name: "reward_width".to_owned(),
+                value: format!("{} of an amplitude of {amplitude} degrees", config.reward_width),
+                range: format!("of widths from {:e} degrees", f64::MIN_POSITIVE),
+            });
+        }
         Ok(Self {
-            reward: config.reward(amplitude),
+            reward,
             action_range: config.resolved_action_range(amplitude),
             physics_steps: config.physics_steps(),
             tick: 0,

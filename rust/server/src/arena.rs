@@ -7,7 +7,7 @@ use crate::protocol::{EnvironmentStateType, Tensor};
 use crate::reply::{Answer, Refusal};
 use crate::specs::{Observation, Specs};
 use crate::tensor;
-use crate::world_settings::{NextReset, WorldSettings};
+use crate::world_settings::{NextReset, WorldSettings, weight};
 
 /// Time of a physics step of one arm or of eight in lanes, roughly \[µs\].
 const MICROSECONDS_A_STEP: f64 = 10.0;
@@ -104,8 +104,9 @@ impl Arena {
     pub(crate) fn new(settings: &WorldSettings) -> Result<Self, ParameterError> {
         let body = match settings.num_envs {
             None => Body::Single(Box::new(Episode::new(settings.config.clone())?)),
-            Some(count) => Body::Batch(EpisodeBatch::new(
-                vec![settings.config.clone(); count],
+            Some(count) => Body::Batch(EpisodeBatch::uniform(
+                settings.config.clone(),
+                count,
                 settings.max_episode_steps,
                 Autoreset::NextStep,
                 Some(settings.threads),
@@ -123,15 +124,12 @@ impl Arena {
 
     /// Roughly how long a step takes \[µs\].
     pub(crate) fn microseconds(&self) -> f64 {
-        match &self.body {
-            Body::Single(episode) => {
-                f64::from(episode.config().physics_steps()) * MICROSECONDS_A_STEP
-            }
-            Body::Batch(batch) => {
-                let steps = f64::from(batch.config(0).physics_steps());
-                steps * batch.len().div_ceil(8) as f64 * MICROSECONDS_A_STEP
-            }
-        }
+        let (config, groups) = match &self.body {
+            Body::Single(episode) => (episode.config(), 1),
+            Body::Batch(batch) => (batch.config(0), batch.len().div_ceil(8)),
+        };
+        let steps = f64::from(config.physics_steps()) * groups as f64;
+        steps * weight(config) * MICROSECONDS_A_STEP
     }
 
     /// Arms.
@@ -147,6 +145,15 @@ impl Arena {
     pub(crate) fn reset(&mut self, next: NextReset) {
         self.running = false;
         self.next.overlay(next);
+    }
+
+    /// The client leaves: its episode is over, and what it wanted of the next one too.
+    pub(crate) fn leave(&mut self) {
+        self.running = false;
+        self.next.phase = None;
+        if self.seeded {
+            self.next.seed = None;
+        }
     }
 
     /// Whether an episode runs.
@@ -170,7 +177,7 @@ impl Arena {
     pub(crate) fn restored(&mut self) {
         self.running = match &self.body {
             Body::Single(episode) => episode.running(),
-            Body::Batch(_) => true,
+            Body::Batch(batch) => batch.begun(),
         };
         self.next = NextReset::default();
         self.seeded = true;

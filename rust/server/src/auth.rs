@@ -1,11 +1,13 @@
 //! The token that clients must present.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use subtle::ConstantTimeEq;
 use tonic::service::Interceptor;
 use tonic::{Request, Status};
 
+use crate::listener::peer_of;
 use crate::metrics::Metrics;
 use crate::settings::SettingsError;
 
@@ -46,7 +48,14 @@ pub(crate) struct Guard {
 
 impl Interceptor for Guard {
     fn call(&mut self, request: Request<()>) -> Result<Request<()>, Status> {
-        let Some(Token(token)) = &self.token else { return Ok(request) };
+        let peer = peer_of(request.extensions());
+        let welcome = |request| {
+            if let Some(peer) = &peer {
+                peer.accepted.store(true, Ordering::Release);
+            }
+            Ok(request)
+        };
+        let Some(Token(token)) = &self.token else { return welcome(request) };
         let given = request.metadata().get("authorization").map(|value| value.as_bytes());
         let given = given.and_then(|value| value.split_at_checked(7)).filter(|(scheme, _)| {
             // RFC 7235: the scheme's case does not matter.
@@ -55,7 +64,7 @@ impl Interceptor for Guard {
         let refusal = match given {
             // In a time that tells nothing of where they differ.
             Some((_, given)) if bool::from(given.ct_eq(token.as_bytes())) => {
-                return Ok(request);
+                return welcome(request);
             }
             Some(_) => "the token is wrong",
             None => {
@@ -63,6 +72,7 @@ impl Interceptor for Guard {
             }
         };
         self.metrics.unauthenticated.inc();
+        tracing::debug!(address = ?peer.map(|peer| peer.address), refusal, "call refused");
         Err(Status::unauthenticated(refusal))
     }
 }

@@ -1,19 +1,21 @@
-//! Connections: accepted one by one, counted, given up when they are silent.
+//! Connections: accepted one by one, counted, given up when they are silent or come to nothing.
 
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Instant, Sleep};
+use tokio::time::Sleep;
+use tokio_io_timeout::TimeoutStream;
 use tokio_stream::Stream;
-use tonic::transport::server::Connected;
+use tonic::Extensions;
+use tonic::transport::server::{Connected, TlsConnectInfo};
 
 use crate::metrics::Metrics;
 
@@ -21,22 +23,41 @@ use crate::metrics::Metrics;
 const BREATH: Duration = Duration::from_millis(100);
 
 /// Who is at the other end.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Peer {
     /// Number of the connection.
     pub(crate) connection: u64,
     /// Its address.
     pub(crate) address: SocketAddr,
+    /// Whether a call came over it that was let in.
+    pub(crate) accepted: Arc<AtomicBool>,
 }
 
-/// A connection. A living one is asked for signs of life, so that a silent one is dead, or was never
-/// meant to speak: reading from it fails after the time given.
+/// Who has sent a request.
+pub(crate) fn peer_of(extensions: &Extensions) -> Option<Peer> {
+    let plain = extensions.get::<Peer>();
+    plain.or_else(|| extensions.get::<TlsConnectInfo<Peer>>().map(TlsConnectInfo::get_ref)).cloned()
+}
+
+/// How many connections there may be, and for how long.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Patience {
+    /// Connections at a time; more wait.
+    pub(crate) most: usize,
+    /// Time in which something must be read, or could be written if there is something to write. A
+    /// living peer is asked for signs of life more often than that.
+    pub(crate) silence: Duration,
+    /// Time until a call has been let in.
+    pub(crate) probation: Duration,
+}
+
+/// A connection, or what came of it.
 #[derive(Debug)]
 pub(crate) struct Connection {
-    stream: TcpStream,
+    stream: Pin<Box<TimeoutStream<TcpStream>>>,
     peer: Peer,
-    silence: Duration,
-    deadline: Pin<Box<Sleep>>,
+    /// Ends connections over which no call was let in; none any more when one was.
+    probation: Option<Pin<Box<Sleep>>>,
     metrics: Arc<Metrics>,
     _permit: OwnedSemaphorePermit,
 }
@@ -52,7 +73,7 @@ impl Connected for Connection {
     type ConnectInfo = Peer;
 
     fn connect_info(&self) -> Peer {
-        self.peer
+        self.peer.clone()
     }
 }
 
@@ -62,17 +83,14 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        match Pin::new(&mut self.stream).poll_read(context, buffer) {
-            Poll::Ready(result) => {
-                let deadline = Instant::now() + self.silence;
-                self.deadline.as_mut().reset(deadline);
-                Poll::Ready(result)
+        let over = |probation: &mut Pin<Box<Sleep>>| probation.as_mut().poll(context).is_ready();
+        if self.probation.as_mut().is_some_and(over) {
+            if !self.peer.accepted.load(Ordering::Acquire) {
+                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
             }
-            Poll::Pending if self.deadline.as_mut().poll(context).is_ready() => {
-                Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
-            }
-            Poll::Pending => Poll::Pending,
+            self.probation = None;
         }
+        self.stream.as_mut().poll_read(context, buffer)
     }
 }
 
@@ -82,15 +100,15 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(context, bytes)
+        self.stream.as_mut().poll_write(context, bytes)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
+        self.stream.as_mut().poll_flush(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
+        self.stream.as_mut().poll_shutdown(context)
     }
 
     fn poll_write_vectored(
@@ -98,7 +116,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write_vectored(context, slices)
+        self.stream.as_mut().poll_write_vectored(context, slices)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -106,39 +124,115 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// The connections of a listener, at most so many at a time; more wait until one is closed. No error of
-/// a connection or of the system ends it.
+/// A listener whose connections are so many at most and time out. No error of a connection or of the
+/// system ends it.
+#[derive(Debug)]
+pub(crate) struct Listener {
+    listener: TcpListener,
+    permits: Arc<Semaphore>,
+    silence: Duration,
+}
+
+/// What a listener gives.
+type Accepted = (Pin<Box<TimeoutStream<TcpStream>>>, SocketAddr, Option<OwnedSemaphorePermit>);
+
+impl Listener {
+    /// Gives at most `most` connections at a time, which must not be silent for longer.
+    pub(crate) fn new(listener: TcpListener, most: usize, silence: Duration) -> Self {
+        let permits = Arc::new(Semaphore::new(most.min(Semaphore::MAX_PERMITS)));
+        Self { listener, permits, silence }
+    }
+
+    async fn next(&self) -> Accepted {
+        // The semaphore is never closed.
+        let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
+        let (stream, address) = loop {
+            match self.listener.accept().await {
+                Ok(accepted) => break accepted,
+                Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => {}
+                Err(error) => {
+                    tracing::warn!(%error, "no connection accepted");
+                    tokio::time::sleep(BREATH).await;
+                }
+            }
+        };
+        if let Err(error) = stream.set_nodelay(true) {
+            tracing::debug!(%error, "no TCP_NODELAY");
+        }
+        let mut stream = TimeoutStream::new(stream);
+        stream.set_read_timeout(Some(self.silence));
+        stream.set_write_timeout(Some(self.silence));
+        (Box::pin(stream), address, permit)
+    }
+}
+
+/// A connection of a listener that is served by axum.
+pub(crate) struct Plain {
+    stream: Pin<Box<TimeoutStream<TcpStream>>>,
+    _permit: Option<OwnedSemaphorePermit>,
+}
+
+impl AsyncRead for Plain {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        self.stream.as_mut().poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for Plain {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        self.stream.as_mut().poll_write(context, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.stream.as_mut().poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.stream.as_mut().poll_shutdown(context)
+    }
+}
+
+impl axum::serve::Listener for Listener {
+    type Io = Plain;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Plain, SocketAddr) {
+        let (stream, address, permit) = self.next().await;
+        (Plain { stream, _permit: permit }, address)
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+/// The connections of the gRPC port.
 pub(crate) fn connections(
     listener: TcpListener,
-    most: usize,
-    silence: Duration,
+    patience: Patience,
     metrics: Arc<Metrics>,
 ) -> impl Stream<Item = io::Result<Connection>> {
     static NUMBER: AtomicU64 = AtomicU64::new(1);
+    let listener = Listener::new(listener, patience.most, patience.silence);
     async_stream::stream! {
-        let permits = Arc::new(Semaphore::new(most.min(Semaphore::MAX_PERMITS)));
         loop {
-            let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { break };
-            let (stream, address) = loop {
-                match listener.accept().await {
-                    Ok(accepted) => break accepted,
-                    Err(error) => {
-                        tracing::warn!(%error, "no connection accepted");
-                        tokio::time::sleep(BREATH).await;
-                    }
-                }
-            };
-            if let Err(error) = stream.set_nodelay(true) {
-                tracing::debug!(%error, "no TCP_NODELAY");
-            }
+            let (stream, address, permit) = listener.next().await;
+            let Some(permit) = permit else { break };
             let connection = NUMBER.fetch_add(1, Ordering::Relaxed);
             tracing::debug!(connection, %address, "connection opened");
             metrics.connections.inc();
             yield Ok(Connection {
                 stream,
-                peer: Peer { connection, address },
-                silence,
-                deadline: Box::pin(tokio::time::sleep(silence)),
+                peer: Peer { connection, address, accepted: Arc::default() },
+                probation: Some(Box::pin(tokio::time::sleep(patience.probation))),
                 metrics: Arc::clone(&metrics),
                 _permit: permit,
             });

@@ -7,26 +7,33 @@ use std::process::ExitCode;
 use clap::Parser as _;
 use octoarm_server::{LogFormat, Options, Server, Settings};
 use tokio::signal::unix::{SignalKind, signal};
+use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::EnvFilter;
 
-fn start_log(settings: &Settings) -> Result<(), String> {
+/// Starts the log; what is logged last goes out when the guard is dropped.
+fn start_log(settings: &Settings) -> Result<WorkerGuard, String> {
     let level = &settings.log_level;
     // A level alone is that of the server; its libraries only warn.
     let alone = level.chars().all(char::is_alphabetic);
-    let filter = if alone { format!("warn,octoarm_server={level}") } else { level.clone() };
+    let filter =
+        if alone { format!("warn,rustls=error,octoarm_server={level}") } else { level.clone() };
     let filter = EnvFilter::try_new(filter)
         .map_err(|error| format!("log_level = {:?}: {error}", settings.log_level))?;
+    // A reader of the log that comes to a halt must not bring the server to one: lines are dropped.
+    let (writer, guard) = tracing_appender::non_blocking(io::stderr());
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
-        .with_writer(io::stderr);
+        // Nobody may be reading: that is no reason to end.
+        .log_internal_errors(false)
+        .with_writer(writer);
     match settings.log_format {
         LogFormat::Text => log.with_target(false).init(),
         LogFormat::Json => log.json().flatten_event(true).init(),
     }
     // A panic is a line of the log as everything else.
     std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "panic")));
-    Ok(())
+    Ok(guard)
 }
 
 /// Listens to the system's signals at once; the future completes when the process is asked to end.
@@ -38,6 +45,12 @@ fn told_to_stop() -> io::Result<impl Future<Output = ()>> {
             _ = terminate.recv() => tracing::info!(signal = "SIGTERM", "told to stop"),
             _ = interrupt.recv() => tracing::info!(signal = "SIGINT", "told to stop"),
         }
+        // Who says it twice does not want to wait.
+        tokio::spawn(async move {
+            tokio::select! { _ = terminate.recv() => (), _ = interrupt.recv() => () }
+            tracing::warn!("told to stop again: everything is broken off");
+            std::process::exit(1);
+        });
     })
 }
 
@@ -63,7 +76,7 @@ async fn serve(settings: Settings) -> Result<(), Box<dyn Error>> {
 
 fn run() -> Result<(), (u8, String)> {
     let settings = Options::parse().settle().map_err(|error| (2, error.to_string()))?;
-    start_log(&settings).map_err(|error| (2, error))?;
+    let _log = start_log(&settings).map_err(|error| (2, error))?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(settings.server_threads)
         .enable_all()

@@ -1,5 +1,6 @@
 //! The properties extension: what can be read and written beside steps.
 
+use octoarm_arm::ParameterError;
 use prost::Message as _;
 use prost_types::Any;
 use tonic::Code;
@@ -13,9 +14,9 @@ use crate::protocol::extensions::properties::{
 };
 use crate::protocol::tensor::{Payload, StringArray};
 use crate::protocol::{Tensor, TensorSpec};
-use crate::reply::{Answer, Refusal};
+use crate::reply::{Answer, Refusal, quoted};
 use crate::tensor;
-use crate::world::{World, Worlds};
+use crate::world::Worlds;
 
 const REQUEST: &str = "dm_env_rpc.v1.extensions.properties.PropertyRequest";
 const RESPONSE: &str = "dm_env_rpc.v1.extensions.properties.PropertyResponse";
@@ -87,9 +88,12 @@ impl Property {
             P::TeacherAction => "The action of the lead-compensated clock now",
             P::ArmPositions => "Centres of the arm's planes, base first [m]",
             P::ArmJoints => "Ends of the longitudinal springs, base first [m]",
-            P::ElapsedSteps => "Steps of the episode",
-            P::Seed => "Starts the generator of phases anew",
-            P::State => "All that the episodes need to go on exactly where they stand, as JSON",
+            P::ElapsedSteps => "Steps of the episode, which max_episode_steps ends",
+            P::Seed => "Starts the generator of phases anew; of a batch, with the next reset",
+            P::State => {
+                "All that the episodes need to go on exactly where they stand, as JSON; a single arm \
+                 counts its elapsed_steps from 0 again"
+            }
         }
     }
 
@@ -98,7 +102,7 @@ impl Property {
     }
 
     fn writable(self) -> bool {
-        matches!(self, P::Seed | P::State)
+        matches!(self, P::ElapsedSteps | P::Seed | P::State)
     }
 
     /// Those that there are for a stream that has joined these arms, or none.
@@ -113,14 +117,15 @@ impl Property {
         Self::known(arena).find(|property| property.key() == key).ok_or_else(|| {
             let known: Vec<&str> = Self::known(arena).map(Self::key).collect();
             let more = if arena.is_none() { "; more when a world is joined" } else { "" };
-            let message = format!("key = {key:?} is unknown; known are {}{more}", known.join(", "));
+            let message =
+                format!("key = {} is unknown; known are {}{more}", quoted(key), known.join(", "));
             Refusal::new(Code::NotFound, message)
         })
     }
 }
 
-/// What a stream can see of the world that it has joined.
-pub(crate) type Joined<'a> = Option<(&'a World, &'a mut Arena)>;
+/// The arms of the world that a stream has joined.
+pub(crate) type Joined<'a> = Option<&'a mut Arena>;
 
 fn json<T: serde::Serialize>(value: &T) -> Answer<Tensor> {
     let text = serde_json::to_string(value);
@@ -128,10 +133,10 @@ fn json<T: serde::Serialize>(value: &T) -> Answer<Tensor> {
 }
 
 fn read(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Tensor> {
-    let (world, arena) = match (property, joined) {
+    let arena = match (property, joined) {
         (P::Version, _) => return Ok(tensor::text(env!("CARGO_PKG_VERSION"))),
         (P::Worlds, _) => return Ok(tensor::integer(worlds.len() as i64)),
-        (_, Some((world, arena))) => (world, arena),
+        (_, Some(arena)) => arena,
         (_, None) => return Err(Refusal::precondition("no world is joined")),
     };
     let swing = match &arena.body {
@@ -143,7 +148,13 @@ fn read(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Tens
         Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 2]))
     };
     match (property, &arena.body) {
-        (P::Settings, _) => Ok(tensor::text(world.settings.as_str())),
+        (P::Settings, _) => {
+            let config = match &arena.body {
+                Body::Single(episode) => episode.config(),
+                Body::Batch(batch) => batch.config(0),
+            };
+            Ok(tensor::text(config.to_json()?))
+        }
         (P::Amplitude, _) => scalar(swing.orbit.amplitude()),
         (P::Period, _) => scalar(swing.orbit.period()),
         (P::Orbit, _) => table(swing.orbit.table()),
@@ -171,19 +182,32 @@ fn read(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Tens
     }
 }
 
+fn state_error(error: ParameterError) -> Refusal {
+    Refusal::invalid(format!("state: {error}"))
+}
+
 fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<()> {
     let key = property.key();
-    let Some((_, arena)) = joined else {
+    let Some(arena) = joined else {
         let message = format!("{key} cannot be written");
         return Err(Refusal::new(Code::PermissionDenied, message));
     };
     match (property, &mut arena.body) {
         (P::Seed, _) => {
-            let json = tensor::to_json(key, value)?;
+            let json = tensor::to_json(key, value, 1)?;
             let seed = json.as_u64().ok_or_else(|| {
                 Refusal::invalid(format!("seed = {json} is outside the allowed range [0, 2^64)"))
             })?;
             arena.seed(seed);
+        }
+        (P::ElapsedSteps, Body::Single(_)) => {
+            let json = tensor::to_json(key, value, 1)?;
+            let steps = json.as_u64().and_then(|steps| u32::try_from(steps).ok());
+            arena.elapsed = steps.ok_or_else(|| {
+                Refusal::invalid(format!(
+                    "elapsed_steps = {json} is outside the allowed range [0, 2^32)"
+                ))
+            })?;
         }
         (P::State, body) => {
             let text = match &value.payload {
@@ -191,8 +215,14 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
                 _ => return Err(Refusal::invalid("state: expected one text, as it was read")),
             };
             match body {
-                Body::Single(episode) => episode.set_state(&octoarm_arm::read_json(text)?)?,
-                Body::Batch(batch) => batch.set_state(&octoarm_arm::read_json(text)?)?,
+                Body::Single(episode) => {
+                    let state = octoarm_arm::read_json(text);
+                    state.and_then(|state| episode.set_state(&state)).map_err(state_error)?;
+                }
+                Body::Batch(batch) => {
+                    let state = octoarm_arm::read_json(text);
+                    state.and_then(|state| batch.set_state(&state)).map_err(state_error)?;
+                }
             }
             arena.restored();
         }
@@ -206,6 +236,7 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
 
 fn spec(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<PropertySpec> {
     let example = match property {
+        P::Settings => tensor::text(""),
         P::Seed => tensor::unsigned(0),
         P::State => tensor::text(""),
         _ => read(property, worlds, joined)?,
@@ -227,14 +258,13 @@ fn spec(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Prop
 /// Answers a request of an extension; the properties are the one that there is.
 pub(crate) fn answer(request: &Any, worlds: &Worlds, mut joined: Joined<'_>) -> Answer<Any> {
     if request.type_url.rsplit('/').next() != Some(REQUEST) {
-        let message = format!("extension {:?} is unknown; known is {REQUEST}", request.type_url);
+        let message =
+            format!("extension {} is unknown; known is {REQUEST}", quoted(&request.type_url));
         return Err(Refusal::new(Code::Unimplemented, message));
     }
     let request = PropertyRequest::decode(request.value.as_slice())
         .map_err(|error| Refusal::invalid(format!("{REQUEST}: {error}")))?;
-    let find = |key: &str, joined: &Joined<'_>| {
-        Property::find(key, joined.as_ref().map(|(_, arena)| &**arena))
-    };
+    let find = |key: &str, joined: &Joined<'_>| Property::find(key, joined.as_deref());
     let payload = match request.payload {
         Some(Request::ReadProperty(request)) => {
             let property = find(&request.key, &joined)?;
@@ -251,8 +281,7 @@ pub(crate) fn answer(request: &Any, worlds: &Worlds, mut joined: Joined<'_>) -> 
                 let property = find(&request.key, &joined)?;
                 return Err(Refusal::invalid(format!("nothing lies below {:?}", property.key())));
             }
-            let known: Vec<Property> =
-                Property::known(joined.as_ref().map(|(_, arena)| &**arena)).collect();
+            let known: Vec<Property> = Property::known(joined.as_deref()).collect();
             let values = known
                 .into_iter()
                 .map(|property| spec(property, worlds, &joined))

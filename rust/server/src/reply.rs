@@ -5,7 +5,20 @@ use tonic::Code;
 
 use crate::protocol::Status;
 
-/// Why a request was refused; nothing is changed then.
+/// Most characters of a message, and of a client's word in it.
+const LONGEST: usize = 2000;
+const LONGEST_WORD: usize = 100;
+
+/// A client's word as it may stand in a message: in quotes, without line breaks, and not too long.
+pub(crate) fn quoted(word: &str) -> String {
+    let cut = word.char_indices().nth(LONGEST_WORD).map(|(place, _)| place);
+    match cut {
+        None => format!("{word:?}"),
+        Some(place) => format!("{:?}…", &word[..place]),
+    }
+}
+
+/// Why a request was refused; nothing is changed then, unless a computation failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Refusal {
     /// What kind of error it is.
@@ -46,6 +59,11 @@ impl From<ParameterError> for Refusal {
 
 impl From<Refusal> for Status {
     fn from(refusal: Refusal) -> Self {
-        Self { code: refusal.code as i32, message: refusal.message, details: Vec::new() }
+        let mut message = refusal.message;
+        if let Some((place, _)) = message.char_indices().nth(LONGEST) {
+            message.truncate(place);
+            message.push('…');
+        }
+        Self { code: refusal.code as i32, message, details: Vec::new() }
     }
 }

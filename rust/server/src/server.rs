@@ -4,6 +4,7 @@ use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::http::{StatusCode, header};
@@ -16,13 +17,21 @@ use tonic::transport::server::ServerTlsConfig;
 use tonic::transport::{Identity, Server as Transport};
 
 use crate::auth::Guard;
-use crate::listener::connections;
+use crate::listener::{Listener, Patience, connections};
 use crate::metrics::Metrics;
 use crate::protocol::DESCRIPTORS;
 use crate::protocol::environment_server::EnvironmentServer;
 use crate::service::Service;
 use crate::session::Hub;
 use crate::settings::Settings;
+
+/// Bytes of requests on their way to a connection's streams.
+const CONNECTION_WINDOW: u32 = 8 << 20;
+/// Connections of readers of the metrics at a time, and the time that one may be silent.
+const MOST_READERS: usize = 16;
+const READER_SILENCE: Duration = Duration::from_secs(10);
+/// Time after the last stream's end in which answers go out when the server stops.
+const QUIET: Duration = Duration::from_millis(300);
 
 /// Why the server cannot serve.
 #[derive(Debug, Error)]
@@ -44,6 +53,7 @@ pub enum ServeError {
 #[derive(Debug)]
 pub struct Server {
     settings: Settings,
+    transport: Transport,
     listener: TcpListener,
     metrics: Option<TcpListener>,
 }
@@ -56,18 +66,23 @@ fn address_of(listener: &TcpListener) -> Result<SocketAddr, ServeError> {
     listener.local_addr().map_err(|error| ServeError::Transport(error.to_string()))
 }
 
-fn transport_error(error: &(dyn std::error::Error + 'static)) -> ServeError {
+/// What an error says, and what is behind it.
+fn with_causes(error: &(dyn std::error::Error + 'static)) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
         text = format!("{text}: {error}");
         cause = error.source();
     }
-    ServeError::Transport(text)
+    text
+}
+
+fn transport_error(error: &(dyn std::error::Error + 'static)) -> ServeError {
+    ServeError::Transport(with_causes(error))
 }
 
 /// Serves what Prometheus reads.
-async fn serve_metrics(listener: TcpListener, metrics: Arc<Metrics>, stop: CancellationToken) {
+async fn serve_metrics(listener: Listener, metrics: Arc<Metrics>, stop: CancellationToken) {
     const TEXT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     let answer = move || async move {
         match metrics.text() {
@@ -87,18 +102,46 @@ async fn serve_metrics(listener: TcpListener, metrics: Arc<Metrics>, stop: Cance
     }
 }
 
+/// Completes when there has been no stream for a while: what is open then are connections without
+/// one, or those that only watch.
+async fn quiet(metrics: &Metrics) {
+    let mut since = Instant::now();
+    while since.elapsed() < QUIET {
+        tokio::time::sleep(QUIET / 10).await;
+        if metrics.streams.get() > 0 {
+            since = Instant::now();
+        }
+    }
+}
+
 impl Server {
     /// Listens, but serves nobody yet.
     ///
     /// # Errors
-    /// [`ServeError::Listen`] for an address that is taken or not this machine's.
+    /// [`ServeError::Listen`] for an address that is taken or not this machine's,
+    /// [`ServeError::Transport`] for a certificate or key that cannot be used.
     pub async fn bind(settings: Settings) -> Result<Self, ServeError> {
+        let limits = &settings.limits;
+        let mut transport = Transport::builder()
+            .max_concurrent_streams(limits.max_streams_per_connection)
+            // What may be on its way in, many small requests of many streams.
+            .initial_connection_window_size(CONNECTION_WINDOW)
+            .http2_keepalive_interval(Some(limits.keepalive_interval))
+            .http2_keepalive_timeout(Some(limits.keepalive_timeout));
+        if let Some(tls) = &settings.tls {
+            let identity = Identity::from_pem(&tls.certificate, &tls.key);
+            let config =
+                ServerTlsConfig::new().identity(identity).timeout(limits.keepalive_timeout);
+            transport = transport.tls_config(config).map_err(|error| {
+                ServeError::Transport(format!("{}: {}", tls.source, with_causes(&error)))
+            })?;
+        }
         let listener = listen(settings.address).await?;
         let metrics = match settings.metrics {
             None => None,
             Some(address) => Some(listen(address).await?),
         };
-        Ok(Self { settings, listener, metrics })
+        Ok(Self { settings, transport, listener, metrics })
     }
 
     /// Where clients connect.
@@ -129,11 +172,12 @@ impl Server {
     /// # Errors
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
     pub async fn serve(self, shutdown: impl Future<Output = ()>) -> Result<(), ServeError> {
-        let Self { settings, listener, metrics: metrics_listener } = self;
+        let Self { settings, mut transport, listener, metrics: metrics_listener } = self;
         let limits = settings.limits.clone();
         let metrics = Metrics::new();
         let stop = CancellationToken::new();
-        let hub = Hub::new(limits.clone(), Arc::clone(&metrics), stop.clone());
+        let hub =
+            Hub::new(limits.clone(), Arc::clone(&metrics), stop.clone(), settings.server_threads);
 
         let (health, health_service) = tonic_health::server::health_reporter();
         health.set_serving::<EnvironmentServer<Service>>().await;
@@ -147,18 +191,6 @@ impl Server {
                 .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         };
 
-        let mut transport = Transport::builder()
-            .max_concurrent_streams(limits.max_streams_per_connection)
-            .http2_keepalive_interval(Some(limits.keepalive_interval))
-            .http2_keepalive_timeout(Some(limits.keepalive_timeout));
-        if let Some(tls) = &settings.tls {
-            let identity = Identity::from_pem(&tls.certificate, &tls.key);
-            transport = transport
-                .tls_config(
-                    ServerTlsConfig::new().identity(identity).timeout(limits.keepalive_timeout),
-                )
-                .map_err(|error| transport_error(&error))?;
-        }
         let router = transport
             .add_service(health_service)
             .add_service(InterceptedService::new(environment, guard.clone()))
@@ -170,13 +202,21 @@ impl Server {
                 files().build_v1alpha().map_err(reflection)?,
                 guard,
             ));
-        // Twice, so that a connection is first given up by the transport, which says goodbye.
-        let silence = 2 * (limits.keepalive_interval + limits.keepalive_timeout);
-        let incoming = connections(listener, limits.max_connections, silence, Arc::clone(&metrics));
+        let life = limits.keepalive_interval + limits.keepalive_timeout;
+        let patience = Patience {
+            most: limits.max_connections,
+            // Twice, so that a connection is first given up by the transport, which says goodbye.
+            silence: 2 * life,
+            probation: life,
+        };
+        let incoming = connections(listener, patience, Arc::clone(&metrics));
 
         let watch = tokio::spawn(Arc::clone(&hub).keep_watch());
         let scraped = metrics_listener
-            .map(|listener| tokio::spawn(serve_metrics(listener, metrics, stop.clone())));
+            .map(|listener| Listener::new(listener, MOST_READERS, READER_SILENCE))
+            .map(|listener| {
+                tokio::spawn(serve_metrics(listener, Arc::clone(&metrics), stop.clone()))
+            });
         let serving = {
             let stop = stop.clone();
             router.serve_with_incoming_shutdown(incoming, async move { stop.cancelled().await })
@@ -192,12 +232,17 @@ impl Server {
                 tracing::info!("shutting down: running requests are answered, streams ended");
                 health.set_not_serving::<EnvironmentServer<Service>>().await;
                 stop.cancel();
-                match tokio::time::timeout(settings.shutdown_timeout, serving).await {
-                    Ok(result) => result,
-                    Err(_) => {
+                tokio::select! {
+                    result = serving => result,
+                    () = quiet(&metrics) => {
+                        tracing::debug!("no stream is left; open connections are broken off");
+                        Ok(())
+                    }
+                    () = tokio::time::sleep(settings.shutdown_timeout) => {
                         tracing::warn!(
                             seconds = settings.shutdown_timeout.as_secs_f64(),
-                            "not all connections were closed in time: they are broken off"
+                            streams = metrics.streams.get(),
+                            "not all streams came to their end in time: they are broken off"
                         );
                         Ok(())
                     }

@@ -2,13 +2,12 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use tokio_stream::Stream;
-use tonic::transport::server::TlsConnectInfo;
 use tonic::{Request, Response, Status, Streaming};
 
-use crate::listener::Peer;
+use crate::listener::peer_of;
 use crate::protocol::environment_server::Environment;
 use crate::protocol::{EnvironmentRequest, EnvironmentResponse};
 use crate::session::{Hub, Session};
@@ -25,10 +24,10 @@ type Answers = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + 
 /// sleeping processor costs more than most requests.
 async fn look(
     requests: &mut Streaming<EnvironmentRequest>,
-    time: Duration,
+    hub: &Hub,
 ) -> Option<Result<Option<EnvironmentRequest>, Status>> {
-    let end = Instant::now() + time;
-    while Instant::now() < end {
+    let end = Instant::now() + hub.limits.busy_poll;
+    while Instant::now() < end && !hub.stop.is_cancelled() {
         let found = tokio::select! {
             biased;
             request = requests.message() => Some(request),
@@ -42,14 +41,6 @@ async fn look(
     None
 }
 
-fn peer(request: &Request<Streaming<EnvironmentRequest>>) -> Result<Peer, Status> {
-    let extensions = request.extensions();
-    let plain = extensions.get::<Peer>();
-    let peer =
-        plain.or_else(|| extensions.get::<TlsConnectInfo<Peer>>().map(TlsConnectInfo::get_ref));
-    peer.copied().ok_or_else(|| Status::internal("the connection is unknown"))
-}
-
 #[tonic::async_trait]
 impl Environment for Service {
     type ProcessStream = Answers;
@@ -58,7 +49,8 @@ impl Environment for Service {
         &self,
         request: Request<Streaming<EnvironmentRequest>>,
     ) -> Result<Response<Answers>, Status> {
-        let peer = peer(&request)?;
+        let peer = peer_of(request.extensions())
+            .ok_or_else(|| Status::internal("the connection is unknown"))?;
         let hub = Arc::clone(&self.hub);
         let mut requests = request.into_inner();
         let mut session = Session::new(Arc::clone(&hub), peer);
@@ -88,11 +80,10 @@ impl Environment for Service {
                         break;
                     }
                 }
+                // A client that sends ahead lets the others have their turn, and its answers go out.
+                tokio::task::yield_now().await;
                 if hub.quiet() {
-                    early = look(&mut requests, hub.limits.busy_poll).await;
-                } else {
-                    // A client that sends ahead lets the others have their turn.
-                    tokio::task::consume_budget().await;
+                    early = look(&mut requests, &hub).await;
                 }
             }
         };

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{Semaphore, oneshot};
+use prost_types::Any;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tonic::Code;
 
@@ -22,16 +23,19 @@ use crate::protocol::{
     LeaveWorldResponse, ResetRequest, ResetResponse, ResetWorldRequest, ResetWorldResponse,
     StepRequest, StepResponse,
 };
-use crate::reply::{Answer, Refusal};
+use crate::reply::{Answer, Refusal, quoted};
 use crate::settings::{Limits, cores};
 use crate::specs::{ACTION, Observation, Specs};
 use crate::tensor::doubles_of;
-use crate::world::{World, Worlds};
-use crate::world_settings::{NextReset, WorldSettings};
+use crate::world::{Borrowed, World, Worlds};
+use crate::world_settings::{NextReset, WorldSettings, weight};
 
 /// Longest step \[µs\] that is computed where the stream is served; what takes longer must not keep
 /// the others waiting.
 const INLINE: f64 = 1000.0;
+
+/// Arms whose state is read and written where the stream is served.
+const FEW_ARMS: usize = 16;
 
 /// What all streams share.
 #[derive(Debug)]
@@ -79,7 +83,12 @@ pub(crate) struct Session {
 
 impl Hub {
     /// Without streams.
-    pub(crate) fn new(limits: Limits, metrics: Arc<Metrics>, stop: CancellationToken) -> Arc<Self> {
+    pub(crate) fn new(
+        limits: Limits,
+        metrics: Arc<Metrics>,
+        stop: CancellationToken,
+        server_threads: usize,
+    ) -> Arc<Self> {
         Arc::new(Self {
             worlds: Worlds::new(limits.clone(), Arc::clone(&metrics)),
             heavy: Arc::new(Semaphore::new(limits.max_threads)),
@@ -89,11 +98,11 @@ impl Hub {
             streams: Mutex::default(),
             started: Instant::now(),
             numbers: AtomicU64::new(1),
-            cores: cores() as i64,
+            cores: cores().min(server_threads) as i64,
         })
     }
 
-    /// Whether the streams are so few that half of the processor's cores can wait for them.
+    /// Whether the streams are so few that half of the serving threads can wait for them.
     pub(crate) fn quiet(&self) -> bool {
         !self.limits.busy_poll.is_zero() && 2 * self.metrics.streams.get() <= self.cores
     }
@@ -121,13 +130,16 @@ impl Hub {
             .map(|(id, record)| (*id, Arc::clone(record)))
             .collect();
         for (id, record) in idle {
-            if record.idle.is_cancelled() {
+            let mut seat = record.seat();
+            // It may have come to life meanwhile.
+            if record.idle.is_cancelled() || record.busy.load(Ordering::Acquire) {
                 continue;
             }
             record.idle.cancel();
+            let seat = seat.take();
             self.metrics.idle.inc();
             tracing::info!(stream = id, "idle stream ended");
-            if let Some(Seat { world, arena }) = record.seat().take() {
+            if let Some(Seat { world, arena }) = seat {
                 self.worlds.leave(&world, arena);
             }
             self.worlds.release(id);
@@ -146,22 +158,15 @@ impl Hub {
         }
     }
 
-    /// Runs a long computation on a thread of its own; `lost` takes its result if the stream ends
-    /// meanwhile.
-    async fn run<T: Send + 'static>(
-        &self,
-        work: impl FnOnce() -> T + Send + 'static,
-        lost: impl FnOnce(T) + Send + 'static,
-    ) -> Answer<T> {
+    /// Runs a long computation on a thread of its own. What it is about, and its result, are dropped
+    /// there or on the way, if the stream ends meanwhile.
+    async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Answer<T> {
         let permit = Arc::clone(&self.heavy).acquire_owned().await;
-        let (sender, receiver) = oneshot::channel();
-        tokio::task::spawn_blocking(move || {
+        let done = tokio::task::spawn_blocking(move || {
             let _permit = permit;
-            if let Err(result) = sender.send(work()) {
-                lost(result);
-            }
+            work()
         });
-        receiver.await.map_err(|_| failed())
+        done.await.map_err(|_| failed())
     }
 }
 
@@ -302,17 +307,11 @@ impl Session {
             Some(Request::DestroyWorld(request)) => {
                 self.destroy(&request).map(Response::DestroyWorld)
             }
-            Some(Request::Extension(request)) => {
-                let mut seat = self.record.seat();
-                let joined = seat.as_mut().map(|seat| (&*seat.world, &mut seat.arena));
-                guarded(|| properties::answer(&request, &self.hub.worlds, joined))
-                    .and_then(|answer| answer)
-                    .map(Response::Extension)
-            }
+            Some(Request::Extension(request)) => self.extension(&request).map(Response::Extension),
             None => Err(Refusal::invalid("the request holds nothing that this server knows")),
         };
         let payload = answer.unwrap_or_else(|refusal| {
-            tracing::debug!(stream = self.id, code = ?refusal.code, message = refusal.message, "request refused");
+            tracing::debug!(stream = self.id, code = ?refusal.code, reason = ?refusal.message, "request refused");
             Response::Error(refusal.into())
         });
         requests.count(matches!(payload, Response::Error(_)), begin.elapsed().as_secs_f64());
@@ -323,18 +322,19 @@ impl Session {
 
     async fn create(&self, request: CreateWorldRequest) -> Answer<CreateWorldResponse> {
         let settings = WorldSettings::from_tensors(&request.settings, &self.hub.limits)?;
-        let place = self.hub.worlds.reserve(self.peer.connection)?;
         let num_envs = settings.num_envs;
-        // The first of a kind swings an arm onto the target, which takes a while.
-        let work =
-            move || Arena::new(&settings).and_then(|arena| Ok((settings.config.to_json()?, arena)));
-        let (json, arena) = self.hub.run(work, drop).await??;
+        let arms = (num_envs.unwrap_or(1) as f64 * weight(&settings.config)).ceil() as usize;
+        let place = self.hub.worlds.reserve(self.peer.connection, arms)?;
+        // The first of a kind swings an arm onto the target, which takes a while; it has its place
+        // until that is done, even if its stream has ended.
+        let (arena, place) = self.hub.run(move || (Arena::new(&settings), place)).await?;
+        let arena = arena?;
         let (config, amplitude) = match &arena.body {
             Body::Single(episode) => (episode.config(), episode.swing().orbit.amplitude()),
             Body::Batch(batch) => (batch.config(0), batch.swing(0).orbit.amplitude()),
         };
         let specs = Specs::new(config, amplitude, num_envs);
-        let world = Arc::new(World::new(name()?, json, specs));
+        let world = Arc::new(World::new(name()?, specs));
         let world_name = world.name.clone();
         tracing::info!(stream = self.id, arms = arena.len(), "world created");
         self.hub.worlds.insert(world, arena, place, self.id);
@@ -343,15 +343,13 @@ impl Session {
 
     fn join(&self, request: &JoinWorldRequest) -> Answer<JoinWorldResponse> {
         let mut seat = self.record.seat();
-        if let Some(seat) = &*seat {
-            let name = &seat.world.name;
-            return Err(Refusal::precondition(format!(
-                "this stream has joined world {name:?}: leave it first"
-            )));
+        if seat.is_some() {
+            return Err(Refusal::precondition("this stream has joined a world: leave it first"));
         }
         if let Some(name) = request.settings.keys().next() {
             return Err(Refusal::invalid(format!(
-                "{name}: JoinWorld takes no settings; CreateWorld does"
+                "unknown setting {}; JoinWorld takes none, CreateWorld does",
+                quoted(name)
             )));
         }
         let (world, arena) = self.hub.worlds.join(&request.world_name)?;
@@ -364,8 +362,9 @@ impl Session {
         let (arms, prepared) = {
             let mut guard = self.record.seat();
             let seat = guard.as_mut().ok_or_else(not_joined)?;
+            let arms = if seat.arena.running() { seat.arena.len() as u64 } else { 0 };
             let prepared = guarded(|| seat.prepare(&request, &self.hub.worlds));
-            (seat.arena.len() as u64, prepared.inspect_err(|_| self.lose(guard.take()))??)
+            (arms, prepared.inspect_err(|_| self.lose(guard.take()))??)
         };
         let step = match prepared {
             Ok(step) => step,
@@ -377,28 +376,22 @@ impl Session {
 
     /// A step that takes long.
     async fn step_elsewhere(&self, order: Order) -> Answer<Step> {
-        let seat = self.record.seat().take().ok_or_else(not_joined)?;
-        let world = Arc::clone(&seat.world);
-        let worlds = Arc::clone(&self.hub.worlds);
-        let (back, lost) = (Arc::clone(&self.hub.worlds), Arc::clone(&seat.world));
+        let Seat { world, arena } = self.record.seat().take().ok_or_else(not_joined)?;
+        let mut arms = Borrowed::new(Arc::clone(&self.hub.worlds), Arc::clone(&world), arena);
         let work = move || {
-            let Seat { world, mut arena } = seat;
-            let step = guarded(|| arena.step(&order, &world.specs));
-            (arena, step)
+            let step = arms.with(|arena, world| guarded(|| arena.step(&order, &world.specs)).ok());
+            (step, arms)
         };
-        let put_back = move |(arena, step): (Arena, Answer<Answer<Step>>)| match step {
-            Ok(_) => back.leave(&lost, arena),
-            Err(_) => back.lose(&lost),
-        };
-        let (arena, step) = self.hub.run(work, put_back).await?;
-        match step {
-            Ok(step) => {
+        let (step, arms) = self.hub.run(work).await?;
+        match (step, arms.unwrap()) {
+            (Some(step), Some((world, arena))) => {
                 *self.record.seat() = Some(Seat { world, arena });
                 step
             }
-            Err(refusal) => {
-                worlds.lose(&world);
-                Err(refusal)
+            _ => {
+                tracing::error!(stream = self.id, "a step failed: its world is given up");
+                self.hub.worlds.lose(&world);
+                Err(failed())
             }
         }
     }
@@ -431,11 +424,36 @@ impl Session {
                 return Ok(ResetWorldResponse {});
             }
         }
-        if let Some(done) = self.hub.worlds.reset(&request.world_name, next)? {
+        let own = self.record.seat().as_ref().map(|seat| seat.world.name.clone());
+        let own = own.as_deref();
+        let Some(done) = self.hub.worlds.reset(&request.world_name, own, next)? else {
+            return Ok(ResetWorldResponse {});
+        };
+        let result = tokio::select! {
             // An error: the world was freed before its client came to the end.
-            done.await.map_err(|_| Refusal::new(Code::Aborted, "the world is gone"))?;
+            done = done => done.map_err(|_| Refusal::new(Code::Aborted, "the world is gone")),
+            () = self.hub.stop.cancelled() => {
+                Err(Refusal::new(Code::Unavailable, "the server is shutting down"))
+            }
+            () = tokio::time::sleep(self.hub.limits.idle_timeout) => Err(Refusal::new(
+                Code::DeadlineExceeded,
+                "the world's client has made no step for so long (idle_timeout)",
+            )),
+        };
+        if let Some(own) = own {
+            self.hub.worlds.waited(own);
         }
-        Ok(ResetWorldResponse {})
+        result.map(|()| ResetWorldResponse {})
+    }
+
+    fn extension(&self, request: &Any) -> Answer<Any> {
+        let mut guard = self.record.seat();
+        let joined = guard.as_mut().map(|seat| &mut seat.arena);
+        // The state of many arms takes its time.
+        let large = joined.as_ref().is_some_and(|arena| arena.len() > FEW_ARMS);
+        let work = || guarded(|| properties::answer(request, &self.hub.worlds, joined));
+        let answer = if large { tokio::task::block_in_place(work) } else { work() };
+        answer.inspect_err(|_| self.lose(guard.take()))?
     }
 
     fn leave(&self) {

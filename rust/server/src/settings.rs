@@ -46,7 +46,11 @@ pub(crate) struct Limits {
     pub(crate) max_worlds_per_connection: usize,
     /// Arms of a world.
     pub(crate) max_num_envs: usize,
-    /// Physics steps of a Step, those of all arms together.
+    /// Arms of all worlds.
+    pub(crate) max_arms: usize,
+    /// Compartments of an arm.
+    pub(crate) max_compartments: usize,
+    /// Physics steps of an arm of 20 compartments that one request may take.
     pub(crate) max_physics_steps: u64,
     /// Threads that share a batch's step.
     pub(crate) max_threads: usize,
@@ -107,7 +111,14 @@ pub struct Options {
     /// Arms of a world [default: 1024].
     #[arg(long, value_name = "NUMBER")]
     max_num_envs: Option<usize>,
-    /// Physics steps of one Step, those of all arms of the world together [default: 1000000].
+    /// Arms of all worlds together, those of more than 20 compartments by their size [default: 16384].
+    #[arg(long, value_name = "NUMBER")]
+    max_arms: Option<usize>,
+    /// Compartments of an arm [default: 60].
+    #[arg(long, value_name = "NUMBER")]
+    max_compartments: Option<usize>,
+    /// Physics steps of one request, those of all arms together, for arms of 20 compartments; others
+    /// count by their size [default: 1000000].
     #[arg(long, value_name = "NUMBER")]
     max_physics_steps: Option<u64>,
     /// Threads that a world may share a step among [default: as many as the processor runs at once].
@@ -162,6 +173,8 @@ pub struct Options {
 pub(crate) struct TlsIdentity {
     pub(crate) certificate: String,
     pub(crate) key: String,
+    /// Where both come from, for messages.
+    pub(crate) source: String,
 }
 
 impl std::fmt::Debug for TlsIdentity {
@@ -191,8 +204,12 @@ pub struct Settings {
 const TOKEN_VARIABLE: &str = "OCTOARM_TOKEN";
 /// The port that gRPC's examples use.
 const PORT: u16 = 50_051;
+/// Shortest time that may be set \[s\].
+const SHORTEST: f64 = 0.001;
 /// Longest time that may be set \[s\].
 const LONGEST: f64 = 1e9;
+/// Longest time for which a request is looked for without sleeping \[s\].
+const LONGEST_BUSY: f64 = 0.01;
 
 /// What the processor runs at once.
 pub(crate) fn cores() -> usize {
@@ -205,6 +222,8 @@ impl Default for Limits {
             max_worlds: 1024,
             max_worlds_per_connection: 256,
             max_num_envs: 1024,
+            max_arms: 16_384,
+            max_compartments: 60,
             max_physics_steps: 1_000_000,
             max_threads: cores(),
             max_message_size: 4 << 20,
@@ -240,9 +259,22 @@ fn positive<T: PartialOrd + Default + std::fmt::Display>(
 fn seconds(name: &str, value: Option<f64>, default: Duration) -> Result<Duration, SettingsError> {
     match value {
         None => Ok(default),
-        Some(value) if value > 0.0 && value <= LONGEST => Ok(Duration::from_secs_f64(value)),
+        Some(value) if (SHORTEST..=LONGEST).contains(&value) => Ok(Duration::from_secs_f64(value)),
         Some(value) => Err(SettingsError::Value(format!(
-            "{name} = {value} is outside the allowed range (0, {LONGEST}] s"
+            "{name} = {value} is outside the allowed range [{SHORTEST}, {LONGEST}] s"
+        ))),
+    }
+}
+
+/// Most threads of any kind.
+const MOST_THREADS: usize = 1024;
+
+fn threads(name: &str, value: Option<usize>) -> Result<usize, SettingsError> {
+    match value {
+        None => Ok(cores().min(MOST_THREADS)),
+        Some(value) if (1..=MOST_THREADS).contains(&value) => Ok(value),
+        Some(value) => Err(SettingsError::Value(format!(
+            "{name} = {value} is outside the allowed range [1, {MOST_THREADS}]"
         ))),
     }
 }
@@ -257,7 +289,8 @@ impl Options {
     /// What is set here, and from `file` what is not.
     fn or(self, file: Self) -> Self {
         prefer!(self, file; host port tls_certificate tls_key token_file max_worlds
-            max_worlds_per_connection max_num_envs max_physics_steps max_threads max_message_size
+            max_worlds_per_connection max_num_envs max_arms max_compartments
+            max_physics_steps max_threads max_message_size
             max_connections max_streams_per_connection idle_timeout keepalive_interval
             keepalive_timeout busy_poll shutdown_timeout server_threads metrics_port metrics_host log_format
             log_level)
@@ -291,12 +324,18 @@ impl Options {
                 standard.max_worlds_per_connection,
             )?,
             max_num_envs: positive("max_num_envs", options.max_num_envs, standard.max_num_envs)?,
+            max_arms: positive("max_arms", options.max_arms, standard.max_arms)?,
+            max_compartments: positive(
+                "max_compartments",
+                options.max_compartments,
+                standard.max_compartments,
+            )?,
             max_physics_steps: positive(
                 "max_physics_steps",
                 options.max_physics_steps,
                 standard.max_physics_steps,
             )?,
-            max_threads: positive("max_threads", options.max_threads, standard.max_threads)?,
+            max_threads: threads("max_threads", options.max_threads)?,
             max_message_size: positive(
                 "max_message_size",
                 options.max_message_size,
@@ -324,8 +363,15 @@ impl Options {
                 standard.keepalive_timeout,
             )?,
             busy_poll: match options.busy_poll {
-                Some(0.0) => Duration::ZERO,
-                other => seconds("busy_poll", other, standard.busy_poll)?,
+                None => standard.busy_poll,
+                Some(value) if (0.0..=LONGEST_BUSY).contains(&value) => {
+                    Duration::from_secs_f64(value)
+                }
+                Some(value) => {
+                    return Err(SettingsError::Value(format!(
+                        "busy_poll = {value} is outside the allowed range [0, {LONGEST_BUSY}] s"
+                    )));
+                }
             },
         };
 
@@ -334,6 +380,11 @@ impl Options {
             (Some(certificate), Some(key)) => Some(TlsIdentity {
                 certificate: read_file("tls_certificate", certificate)?,
                 key: read_file("tls_key", key)?,
+                source: format!(
+                    "tls_certificate {}, tls_key {}",
+                    certificate.display(),
+                    key.display()
+                ),
             }),
             _ => {
                 return Err(SettingsError::Value(
@@ -369,7 +420,7 @@ impl Options {
                 options.shutdown_timeout,
                 Duration::from_secs(10),
             )?,
-            server_threads: positive("server_threads", options.server_threads, cores())?,
+            server_threads: threads("server_threads", options.server_threads)?,
             metrics: options.metrics_port.map(|port| SocketAddr::new(metrics_host, port)),
             log_format: options.log_format.unwrap_or_default(),
             log_level: options.log_level.unwrap_or_else(|| "info".to_owned()),
@@ -442,6 +493,9 @@ mod tests {
         for (arguments, expected) in [
             (&["--max-worlds", "0"][..], "max_worlds = 0"),
             (&["--idle-timeout", "0"], "idle_timeout = 0"),
+            (&["--busy-poll", "1"], "busy_poll = 1 is outside the allowed range [0, 0.01]"),
+            (&["--max-threads", "18446744073709551615"], "max_threads = 18446744073709551615"),
+            (&["--server-threads", "100000"], "server_threads = 100000"),
             (&["--idle-timeout", "nan"], "idle_timeout = NaN"),
             (&["--token-file", "/nowhere/token"], "token_file /nowhere/token"),
             (&["--config", "/nowhere/settings.toml"], "--config /nowhere/settings.toml"),

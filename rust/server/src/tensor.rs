@@ -8,8 +8,12 @@ use crate::protocol::tensor::{
 use crate::protocol::{DataType, Tensor};
 use crate::reply::{Answer, Refusal};
 
-/// Most elements of a setting, filled up or not.
+/// Most dimensions: no tensor of the arm has more than three.
+const MOST_DIMENSIONS: usize = 4;
+/// Most elements of any tensor.
 const MOST_ELEMENTS: usize = 1 << 20;
+/// Most elements of a setting that a single one may stand for.
+const MOST_FILLED: usize = 16;
 /// Largest integer up to which every one is a double.
 const EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
@@ -67,6 +71,12 @@ pub(crate) fn data_type(tensor: &Tensor) -> DataType {
 /// The sizes that a shape stands for, given the number of elements; a single element fills any shape,
 /// and a negative size is found from the others.
 fn resolve(name: &str, shape: &[i32], elements: usize) -> Answer<Vec<usize>> {
+    if shape.len() > MOST_DIMENSIONS {
+        return Err(Refusal::invalid(format!(
+            "{name} has {} dimensions, at most {MOST_DIMENSIONS} are allowed",
+            shape.len()
+        )));
+    }
     let refuse = |why: &str| {
         Err(Refusal::invalid(format!("{name} has shape {shape:?} and {elements} elements: {why}")))
     };
@@ -158,43 +168,67 @@ fn nest(mut flat: Vec<Value>, sizes: &[usize]) -> Value {
     Value::Array(flat)
 }
 
-/// A setting as JSON: a value, or nested lists of them.
-pub(crate) fn to_json(name: &str, tensor: &Tensor) -> Answer<Value> {
-    let flat: Vec<Value> = match &tensor.payload {
-        None => return Err(Refusal::invalid(format!("{name} holds nothing"))),
-        Some(Payload::Floats(list)) => {
+/// Number of elements that were sent.
+fn elements(payload: &Payload) -> usize {
+    match payload {
+        Payload::Floats(list) => list.array.len(),
+        Payload::Doubles(list) => list.array.len(),
+        Payload::Int8s(list) => list.array.len(),
+        Payload::Int32s(list) => list.array.len(),
+        Payload::Int64s(list) => list.array.len(),
+        Payload::Uint8s(list) => list.array.len(),
+        Payload::Uint32s(list) => list.array.len(),
+        Payload::Uint64s(list) => list.array.len(),
+        Payload::Bools(list) => list.array.len(),
+        Payload::Strings(list) => list.array.len(),
+        Payload::Protos(list) => list.array.len(),
+    }
+}
+
+/// A setting as JSON: a value, or nested lists of at most `most` of them.
+pub(crate) fn to_json(name: &str, tensor: &Tensor, most: usize) -> Answer<Value> {
+    let Some(payload) = &tensor.payload else {
+        return Err(Refusal::invalid(format!("{name} holds nothing")));
+    };
+    // All of this is known before anything is built.
+    let sent = elements(payload);
+    let sizes = resolve(name, &tensor.shape, sent)?;
+    let total: usize = sizes.iter().product();
+    let most = if sent == total { most } else { most.min(MOST_FILLED) };
+    if total > most {
+        return Err(Refusal::invalid(format!(
+            "{name} stands for {total} elements, at most {most} are allowed here"
+        )));
+    }
+    let flat: Vec<Value> = match payload {
+        Payload::Floats(list) => {
             list.array.iter().map(|value| number(name, f64::from(*value))).collect::<Answer<_>>()?
         }
-        Some(Payload::Doubles(list)) => {
+        Payload::Doubles(list) => {
             list.array.iter().map(|value| number(name, *value)).collect::<Answer<_>>()?
         }
-        Some(Payload::Int8s(list)) => {
-            list.array.iter().map(|value| Value::from(*value as i8)).collect()
-        }
-        Some(Payload::Uint8s(list)) => list.array.iter().map(|value| Value::from(*value)).collect(),
-        Some(Payload::Int32s(list)) => list.array.iter().map(|value| Value::from(*value)).collect(),
-        Some(Payload::Int64s(list)) => list.array.iter().map(|value| Value::from(*value)).collect(),
-        Some(Payload::Uint32s(list)) => {
-            list.array.iter().map(|value| Value::from(*value)).collect()
-        }
-        Some(Payload::Uint64s(list)) => {
-            list.array.iter().map(|value| Value::from(*value)).collect()
-        }
-        Some(Payload::Bools(list)) => list.array.iter().map(|value| Value::from(*value)).collect(),
-        Some(Payload::Strings(list)) => {
+        Payload::Int8s(list) => list.array.iter().map(|value| Value::from(*value as i8)).collect(),
+        Payload::Uint8s(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Int32s(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Int64s(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Uint32s(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Uint64s(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Bools(list) => list.array.iter().map(|value| Value::from(*value)).collect(),
+        Payload::Strings(list) if sent == total => {
             list.array.iter().map(|value| Value::from(value.as_str())).collect()
         }
-        Some(Payload::Protos(_)) => {
+        Payload::Strings(_) => {
+            return Err(Refusal::invalid(format!("{name}: one text does not fill a shape")));
+        }
+        Payload::Protos(_) => {
             return Err(Refusal::invalid(format!(
                 "{name} holds messages, expected numbers or a text"
             )));
         }
     };
-    let sizes = resolve(name, &tensor.shape, flat.len())?;
     if sizes.is_empty() {
         return flat.into_iter().next().ok_or_else(|| Refusal::invalid(format!("{name} is empty")));
     }
-    let total: usize = sizes.iter().product();
     let flat = if flat.len() == total { flat } else { vec![flat[0].clone(); total] };
     Ok(if total == 0 { Value::Array(Vec::new()) } else { nest(flat, &sizes) })
 }
@@ -241,7 +275,7 @@ mod tests {
 
     #[test]
     fn settings_become_json() {
-        let json = |tensor: &Tensor| to_json("it", tensor).expect("json");
+        let json = |tensor: &Tensor| to_json("it", tensor, 100).expect("json");
         assert_eq!(json(&text("lissajous")), json!("lissajous"));
         assert_eq!(json(&integer(-3)), json!(-3));
         assert_eq!(json(&doubles(vec![20.0], &[])), json!(20));
@@ -252,9 +286,22 @@ mod tests {
         );
         assert_eq!(json(&doubles(vec![0.5], &[2, 2])), json!([[0.5, 0.5], [0.5, 0.5]]));
         assert_eq!(json(&doubles(vec![], &[0])), json!([]));
-        assert!(refused(to_json("it", &doubles(vec![f64::NAN], &[]))).contains("it = NaN"));
-        assert!(refused(to_json("it", &doubles(vec![1.5], &[i32::MAX, 4]))).contains("at most"));
-        assert!(refused(to_json("it", &doubles(vec![], &[]))).contains("do not fill"));
-        assert!(refused(to_json("it", &Tensor::default())).contains("holds nothing"));
+        assert!(refused(to_json("it", &doubles(vec![f64::NAN], &[]), 1)).contains("it = NaN"));
+        assert!(
+            refused(to_json("it", &doubles(vec![1.5], &[i32::MAX, 4]), 100)).contains("at most")
+        );
+        assert!(refused(to_json("it", &doubles(vec![], &[]), 1)).contains("do not fill"));
+        assert!(refused(to_json("it", &Tensor::default(), 1)).contains("holds nothing"));
+        let long = strings(vec!["x".repeat(16_000)], &[1 << 20]);
+        assert!(refused(to_json("it", &long, 1 << 20)).contains("at most 16"));
+        assert!(
+            refused(to_json("it", &strings(vec!["x".to_owned()], &[3]), 9)).contains("one text")
+        );
+        let filled = doubles(vec![0.5], &[1 << 19, 2]);
+        assert!(refused(to_json("it", &filled, 1 << 20)).contains("at most 16"));
+        let deep = Tensor { shape: vec![1; 100_000], ..doubles(vec![0.5], &[]) };
+        assert!(refused(to_json("it", &deep, 1)).contains("100000 dimensions"));
+        assert!(refused(doubles_of("it", &deep, &[2])).contains("100000 dimensions"));
+        assert!(refused(to_json("it", &doubles(vec![0.5; 20], &[20]), 16)).contains("20 elements"));
     }
 }

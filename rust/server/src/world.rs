@@ -9,7 +9,7 @@ use tonic::Code;
 
 use crate::arena::Arena;
 use crate::metrics::Metrics;
-use crate::reply::{Answer, Refusal};
+use crate::reply::{Answer, Refusal, quoted};
 use crate::settings::Limits;
 use crate::specs::Specs;
 use crate::world_settings::NextReset;
@@ -19,8 +19,6 @@ use crate::world_settings::NextReset;
 pub(crate) struct World {
     /// Not to be guessed.
     pub(crate) name: String,
-    /// The settings of an episode, as JSON text.
-    pub(crate) settings: String,
     /// What can be done and seen.
     pub(crate) specs: Specs,
     /// Whether a reset of the world waits for the joined client's next step.
@@ -32,6 +30,8 @@ pub(crate) struct World {
 pub(crate) struct Place {
     worlds: Arc<Worlds>,
     connection: u64,
+    /// Arms, by their size.
+    arms: usize,
 }
 
 /// A world on the list.
@@ -45,17 +45,67 @@ struct Entry {
     orphan: bool,
     /// The arms, if nobody has joined.
     arena: Option<Arena>,
+    /// Whether the joined client itself waits for the reset of another world.
+    waiting: bool,
     /// Resets that wait for the joined client's next step.
     resets: Vec<(NextReset, oneshot::Sender<()>)>,
 }
 
 type List = HashMap<String, Entry>;
 
+/// What is taken of what may be.
+#[derive(Debug, Default)]
+struct Places {
+    /// Worlds, of every connection that has some.
+    worlds: HashMap<u64, usize>,
+    /// Arms of all worlds.
+    arms: usize,
+}
+
+/// Arms on their way: whatever becomes of who took them, they come back to their world.
+#[derive(Debug)]
+pub(crate) struct Borrowed {
+    worlds: Arc<Worlds>,
+    world: Arc<World>,
+    arena: Option<Arena>,
+}
+
+impl Borrowed {
+    /// The arms of a world that a stream has joined.
+    pub(crate) fn new(worlds: Arc<Worlds>, world: Arc<World>, arena: Arena) -> Self {
+        Self { worlds, world, arena: Some(arena) }
+    }
+
+    /// Does something to the arms; none, if they are lost by it.
+    pub(crate) fn with<T>(
+        &mut self,
+        work: impl FnOnce(&mut Arena, &World) -> Option<T>,
+    ) -> Option<T> {
+        let mut arena = self.arena.take()?;
+        let result = work(&mut arena, &self.world)?;
+        self.arena = Some(arena);
+        Some(result)
+    }
+
+    /// The stream has them again.
+    pub(crate) fn unwrap(mut self) -> Option<(Arc<World>, Arena)> {
+        let arena = self.arena.take()?;
+        Some((Arc::clone(&self.world), arena))
+    }
+}
+
+impl Drop for Borrowed {
+    fn drop(&mut self) {
+        if let Some(arena) = self.arena.take() {
+            self.worlds.leave(&self.world, arena);
+        }
+    }
+}
+
 /// All worlds.
 pub(crate) struct Worlds {
     list: Mutex<List>,
-    /// Places taken, of every connection that has some.
-    places: Mutex<HashMap<u64, usize>>,
+    places: Mutex<Places>,
     limits: Limits,
     metrics: Arc<Metrics>,
 }
@@ -69,10 +119,11 @@ impl std::fmt::Debug for Worlds {
 impl Drop for Place {
     fn drop(&mut self) {
         let mut places = self.worlds.lock_places();
-        if let Some(count) = places.get_mut(&self.connection) {
+        places.arms -= self.arms;
+        if let Some(count) = places.worlds.get_mut(&self.connection) {
             *count -= 1;
             if *count == 0 {
-                places.remove(&self.connection);
+                places.worlds.remove(&self.connection);
             }
         }
         self.worlds.metrics.worlds.dec();
@@ -81,8 +132,8 @@ impl Drop for Place {
 
 impl World {
     /// A world of the given name.
-    pub(crate) fn new(name: String, settings: String, specs: Specs) -> Self {
-        Self { name, settings, specs, attention: AtomicBool::new(false) }
+    pub(crate) fn new(name: String, specs: Specs) -> Self {
+        Self { name, specs, attention: AtomicBool::new(false) }
     }
 
     /// Whether a reset of the world waits.
@@ -92,7 +143,7 @@ impl World {
 }
 
 fn unknown(name: &str) -> Refusal {
-    Refusal::new(Code::NotFound, format!("world_name = {name:?}: there is no such world"))
+    Refusal::new(Code::NotFound, format!("world_name = {}: there is no such world", quoted(name)))
 }
 
 impl Worlds {
@@ -101,7 +152,7 @@ impl Worlds {
         Arc::new(Self { list: Mutex::default(), places: Mutex::default(), limits, metrics })
     }
 
-    fn lock_places(&self) -> MutexGuard<'_, HashMap<u64, usize>> {
+    fn lock_places(&self) -> MutexGuard<'_, Places> {
         self.places.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -114,24 +165,27 @@ impl Worlds {
         self.lock().len()
     }
 
-    /// A place for a world of this connection.
-    pub(crate) fn reserve(self: &Arc<Self>, connection: u64) -> Answer<Place> {
+    /// A place for a world of so many arms, made through this connection.
+    pub(crate) fn reserve(self: &Arc<Self>, connection: u64, arms: usize) -> Answer<Place> {
         let mut places = self.lock_places();
-        let all: usize = places.values().sum();
-        let own = places.get(&connection).copied().unwrap_or(0);
-        for (limit, count, whose) in [
-            (self.limits.max_worlds, all, "this server"),
-            (self.limits.max_worlds_per_connection, own, "one connection"),
+        let all: usize = places.worlds.values().sum();
+        let own = places.worlds.get(&connection).copied().unwrap_or(0);
+        for (limit, taken, more, what, whose) in [
+            (self.limits.max_worlds, all, 1, "worlds", "this server"),
+            (self.limits.max_worlds_per_connection, own, 1, "worlds", "one connection"),
+            (self.limits.max_arms, places.arms, arms, "arms", "this server"),
         ] {
-            if count >= limit {
+            if taken.saturating_add(more) > limit {
                 return Err(Refusal::exhausted(format!(
-                    "there are {count} worlds, all that {whose} may have: destroy one first"
+                    "{taken} {what} are taken of the {limit} that {whose} may have, {more} more are \
+                     asked for: destroy a world first"
                 )));
             }
         }
-        *places.entry(connection).or_default() += 1;
+        *places.worlds.entry(connection).or_default() += 1;
+        places.arms += arms;
         self.metrics.worlds.inc();
-        Ok(Place { worlds: Arc::clone(self), connection })
+        Ok(Place { worlds: Arc::clone(self), connection, arms })
     }
 
     /// Puts a world on the list, made by stream `owner`.
@@ -143,6 +197,7 @@ impl Worlds {
             owner,
             orphan: false,
             arena: Some(arena),
+            waiting: false,
             resets: Vec::new(),
         };
         self.lock().insert(name, entry);
@@ -153,7 +208,7 @@ impl Worlds {
         let mut list = self.lock();
         let entry = list.get_mut(name).ok_or_else(|| unknown(name))?;
         let arena = entry.arena.take().ok_or_else(|| {
-            Refusal::precondition(format!("world {name:?} is joined already; it takes one client"))
+            Refusal::precondition("the world is joined already; it takes one client")
         })?;
         Ok((Arc::clone(&entry.world), arena))
     }
@@ -162,9 +217,9 @@ impl Worlds {
     pub(crate) fn leave(&self, world: &World, mut arena: Arena) {
         let mut list = self.lock();
         let Some(entry) = list.get_mut(&world.name) else { return };
+        arena.leave();
         Self::settle(entry, &mut arena);
-        // The episode is over with the client's leaving.
-        arena.reset(NextReset::default());
+        entry.waiting = false;
         entry.arena = Some(arena);
         let gone = if entry.orphan { list.remove(&world.name) } else { None };
         drop(list);
@@ -185,20 +240,25 @@ impl Worlds {
 
     fn settle(entry: &mut Entry, arena: &mut Arena) -> bool {
         entry.world.attention.store(false, Ordering::Release);
-        let any = !entry.resets.is_empty();
+        let mut any = false;
         for (next, done) in entry.resets.drain(..) {
-            arena.reset(next);
-            // Who asked may be gone.
-            let _ = done.send(());
+            // Who asked may be gone, and the wish with it.
+            if !done.is_closed() {
+                arena.reset(next);
+                any = true;
+                let _ = done.send(());
+            }
         }
         any
     }
 
     /// Resets a world: at once, or, if a client has joined it, at that client's next step; the receiver
-    /// then tells when.
+    /// then tells when. `own` is the world that the asking stream has joined: while it waits, its own
+    /// world cannot be waited for, lest two wait for each other.
     pub(crate) fn reset(
         &self,
         name: &str,
+        own: Option<&str>,
         next: NextReset,
     ) -> Answer<Option<oneshot::Receiver<()>>> {
         let mut list = self.lock();
@@ -207,11 +267,26 @@ impl Worlds {
             arena.reset(next);
             return Ok(None);
         }
+        if entry.waiting {
+            return Err(Refusal::precondition(
+                "the world's client waits itself for the reset of a world: try again later",
+            ));
+        }
         let (done, receiver) = oneshot::channel();
         entry.resets.retain(|(_, waiting)| !waiting.is_closed());
         entry.resets.push((next, done));
         entry.world.attention.store(true, Ordering::Release);
+        if let Some(own) = own.and_then(|own| list.get_mut(own)) {
+            own.waiting = true;
+        }
         Ok(Some(receiver))
+    }
+
+    /// The client that has joined this world waits no longer.
+    pub(crate) fn waited(&self, name: &str) {
+        if let Some(entry) = self.lock().get_mut(name) {
+            entry.waiting = false;
+        }
     }
 
     /// Frees a world that nobody has joined.
@@ -219,9 +294,9 @@ impl Worlds {
         let mut list = self.lock();
         let entry = list.get(name).ok_or_else(|| unknown(name))?;
         if entry.arena.is_none() {
-            return Err(Refusal::precondition(format!(
-                "world {name:?} is joined: its client must leave it first"
-            )));
+            return Err(Refusal::precondition(
+                "the world is joined: its client must leave it first",
+            ));
         }
         let gone = list.remove(name);
         drop(list);

@@ -1,13 +1,15 @@
 //! What CreateWorld and the resets take.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::LazyLock;
 
-use octoarm_env::EpisodeConfig;
+use octoarm_arm::ArmParameters;
+use octoarm_env::{EpisodeConfig, TargetName};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use crate::protocol::Tensor;
-use crate::reply::{Answer, Refusal};
+use crate::reply::{Answer, Refusal, quoted};
 use crate::settings::Limits;
 use crate::tensor::to_json;
 
@@ -15,6 +17,16 @@ use crate::tensor::to_json;
 const MAX_EPISODE_STEPS: i64 = 500;
 /// Before the name of a parameter of the body.
 const ARM: &str = "arm.";
+/// Most numbers of any setting but a target.
+const FEW: usize = 16;
+/// Most rows of a target: a period of 65 s at 1 ms.
+const MOST_ROWS: usize = 1 << 16;
+/// Compartments of the arm that costs are counted in.
+const USUAL_COMPARTMENTS: f64 = 20.0;
+/// Control periods for which an arm is swung along a target, beside 5 s of them.
+const SWING_PERIODS: f64 = 256.0;
+/// Time in which it comes to swing \[s\].
+const SWING_TIME: f64 = 5.0;
 
 /// A world as it was asked for.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,6 +79,29 @@ fn read<T: serde::de::DeserializeOwned>(value: Value) -> Answer<T> {
     Ok(octoarm_arm::read_json(&value.to_string())?)
 }
 
+/// Names of all settings of a world.
+fn known() -> &'static BTreeSet<String> {
+    static KNOWN: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
+        let names = |value: Result<Value, serde_json::Error>| match value {
+            Ok(Value::Object(fields)) => fields.into_iter().map(|(name, _)| name).collect(),
+            _ => Vec::new(),
+        };
+        let body = names(serde_json::to_value(ArmParameters::default()));
+        names(serde_json::to_value(EpisodeConfig::default()))
+            .into_iter()
+            .filter(|name| name != "arm")
+            .chain(body.into_iter().map(|name| format!("{ARM}{name}")))
+            .chain(FRAME.map(str::to_owned))
+            .collect()
+    });
+    &KNOWN
+}
+
+/// How many arms of the usual size one of these settings counts for.
+pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
+    (config.arm.compartments as f64 / USUAL_COMPARTMENTS).max(1.0)
+}
+
 impl WorldSettings {
     /// Reads and checks the settings of CreateWorld; what is left out takes its default.
     pub(crate) fn from_tensors(
@@ -74,17 +109,25 @@ impl WorldSettings {
         limits: &Limits,
     ) -> Answer<Self> {
         let (mut config, mut frame, mut arm) = (Map::new(), Map::new(), Map::new());
+        if let Some(name) = tensors.keys().find(|name| !known().contains(*name)) {
+            let known: Vec<&str> = known().iter().map(String::as_str).collect();
+            return Err(Refusal::invalid(format!(
+                "unknown setting {}; known are {}",
+                quoted(name),
+                known.join(", ")
+            )));
+        }
         for (name, tensor) in tensors {
-            let value = to_json(name, tensor)?;
+            let most = if name == "target" { 2 * MOST_ROWS } else { FEW };
+            let value = to_json(name, tensor, most)?;
             if FRAME.contains(&name.as_str()) {
                 frame.insert(name.clone(), value);
             } else if let Some(parameter) = name.strip_prefix(ARM) {
                 arm.insert(parameter.to_owned(), value);
-            } else if name == "arm" {
-                return Err(Refusal::invalid(
-                    "arm: its parameters are settings of their own, arm.<name>",
-                ));
             } else {
+                if name == "target" {
+                    check_target(&value)?;
+                }
                 config.insert(name.clone(), value);
             }
         }
@@ -104,13 +147,26 @@ impl WorldSettings {
         if !(1..=limits.max_threads).contains(&threads) {
             return Err(out_of_range("threads", threads, &format!("[1, {}]", limits.max_threads)));
         }
-        let steps = u64::from(config.physics_steps()) * num_envs.unwrap_or(1) as u64;
-        if steps > limits.max_physics_steps {
-            return Err(Refusal::exhausted(format!(
-                "a step of this world would be {steps} physics steps of an arm (control_period / \
-                 arm.timestep * num_envs); this server allows {}",
-                limits.max_physics_steps
-            )));
+        if config.arm.compartments > limits.max_compartments {
+            let range = format!("[1, {}] of this server", limits.max_compartments);
+            return Err(out_of_range("arm.compartments", config.arm.compartments, &range));
+        }
+        let weight = weight(&config);
+        let period = f64::from(config.physics_steps());
+        let swing = (SWING_TIME / config.control_period + SWING_PERIODS) * period;
+        for (what, steps) in [
+            ("a step of this world", period * num_envs.unwrap_or(1) as f64),
+            ("the swing that its episodes begin from", swing),
+        ] {
+            let steps = (weight * steps).ceil();
+            if steps > limits.max_physics_steps as f64 {
+                return Err(Refusal::exhausted(format!(
+                    "{what} would take {steps} physics steps of an arm of {USUAL_COMPARTMENTS} \
+                     compartments (by control_period, arm.timestep, arm.compartments, num_envs); \
+                     this server allows {} a request",
+                    limits.max_physics_steps
+                )));
+            }
         }
         let max_episode_steps = match max_episode_steps {
             -1 => None,
@@ -127,12 +183,35 @@ impl WorldSettings {
     }
 }
 
+/// A name for a target must be one of those that there are.
+fn check_target(value: &Value) -> Answer<()> {
+    let Value::String(name) = value else { return Ok(()) };
+    if serde_json::from_value::<TargetName>(value.clone()).is_ok() {
+        return Ok(());
+    }
+    let names = [TargetName::Quadratic, TargetName::VanDerPol, TargetName::Lissajous];
+    let names: Vec<String> =
+        names.iter().filter_map(|name| serde_json::to_string(name).ok()).collect();
+    Err(Refusal::invalid(format!(
+        "target = {}: expected {}, or an array (T, 2)",
+        quoted(name),
+        names.join(", ")
+    )))
+}
+
 impl NextReset {
     /// Reads and checks the settings of a reset.
     pub(crate) fn from_tensors(tensors: &BTreeMap<String, Tensor>) -> Answer<Self> {
+        if let Some(name) = tensors.keys().find(|name| !["seed", "phase"].contains(&name.as_str()))
+        {
+            return Err(Refusal::invalid(format!(
+                "unknown setting {}; known are phase, seed",
+                quoted(name)
+            )));
+        }
         let settings: Map<String, Value> = tensors
             .iter()
-            .map(|(name, tensor)| Ok((name.clone(), to_json(name, tensor)?)))
+            .map(|(name, tensor)| Ok((name.clone(), to_json(name, tensor, 1)?)))
             .collect::<Answer<_>>()?;
         let next: Self = read(Value::Object(settings))?;
         match next.phase {
@@ -203,10 +282,14 @@ mod tests {
             ("amplitude", scalar(-3.0), "amplitude = -3"),
             ("amplitude", scalar(f64::INFINITY), "amplitude = inf"),
             ("amplitude", text("big"), "amplitude: invalid type"),
-            ("target", text("square"), "target: "),
+            (
+                "target",
+                text("square"),
+                "target = \"square\": expected \"quadratic\", \"van_der_pol\"",
+            ),
             ("colour", integer(1), "colour"),
-            ("arm", text("{}"), "arm.<name>"),
-            ("arm.colour", integer(1), "arm"),
+            ("arm", text("{}"), "unknown setting \"arm\"; known are action_change_weight"),
+            ("arm.colour", integer(1), "unknown setting \"arm.colour\""),
             ("arm.timestep", scalar(-1.0), "timestep = -1"),
             ("arm.compartments", scalar(2.5), "arm.compartments: invalid type"),
             ("seed", integer(-1), "seed: invalid value"),
@@ -221,10 +304,22 @@ mod tests {
             let message = settings(&[(name, tensor)]).expect_err(name).message;
             assert!(message.contains(expected), "{name}: {message}");
         }
-        let much = settings(&[("control_period", scalar(10.0)), ("num_envs", integer(1024))]);
-        let refusal = much.expect_err("too much");
-        assert_eq!(refusal.code, tonic::Code::ResourceExhausted);
-        assert!(refusal.message.contains("10240000 physics steps"), "{}", refusal.message);
+        for (much, expected) in [
+            (
+                &[("control_period", scalar(2.0)), ("num_envs", integer(1024))][..],
+                "2048000 physics",
+            ),
+            (&[("control_period", scalar(10.0))], "2565000 physics"),
+            (&[("control_period", scalar(1e-9)), ("arm.timestep", scalar(1e-9))], "the swing"),
+            (&[("control_period", scalar(1e-300)), ("arm.timestep", scalar(1e-300))], "the swing"),
+            (&[("arm.compartments", integer(60)), ("control_period", scalar(2.0))], "the swing"),
+        ] {
+            let refusal = settings(much).expect_err("too much");
+            assert_eq!(refusal.code, tonic::Code::ResourceExhausted);
+            assert!(refusal.message.contains(expected), "{}", refusal.message);
+        }
+        let large = settings(&[("arm.compartments", integer(200))]).expect_err("large").message;
+        assert!(large.contains("arm.compartments = 200"), "{large}");
     }
 
     #[test]

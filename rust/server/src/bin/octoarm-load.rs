@@ -29,6 +29,8 @@ use tonic::transport::{Channel, Endpoint};
 
 type Failure = Box<dyn Error + Send + Sync>;
 
+/// Longest wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(60);
 /// Steps before anything is timed.
 const WARM_UP: usize = 20;
 /// Round trips before the same steps are computed here.
@@ -75,7 +77,13 @@ fn action(step: usize) -> [f64; 2] {
 impl Client {
     async fn send(&mut self, payload: Request) -> Result<Response, Failure> {
         self.requests.send(EnvironmentRequest { payload: Some(payload) }).await?;
-        match self.answers.message().await?.and_then(|answer| answer.payload) {
+        self.receive().await
+    }
+
+    async fn receive(&mut self) -> Result<Response, Failure> {
+        let answer = tokio::time::timeout(PATIENCE, self.answers.message()).await;
+        let answer = answer.map_err(|_| format!("no answer within {} s", PATIENCE.as_secs()))??;
+        match answer.and_then(|answer| answer.payload) {
             Some(Response::Error(error)) => Err(error.message.into()),
             Some(payload) => Ok(payload),
             None => Err("the server ended the stream".into()),
@@ -85,12 +93,6 @@ impl Client {
     async fn new(options: &Options) -> Result<Self, Failure> {
         let channel: Channel =
             Endpoint::from_shared(options.address.clone())?.tcp_nodelay(true).connect().await?;
-        let (requests, receiver) = mpsc::channel(1);
-        let answers = EnvironmentClient::new(channel)
-            .process(ReceiverStream::new(receiver))
-            .await?
-            .into_inner();
-        let mut client = Self { requests, answers };
         let endless = Tensor {
             payload: Some(Payload::Int64s(Int64Array { array: vec![-1] })),
             shape: vec![],
@@ -100,7 +102,15 @@ impl Client {
             ("max_episode_steps".to_owned(), endless),
         ]);
         let create = Request::CreateWorld(CreateWorldRequest { settings });
-        let Response::CreateWorld(world) = client.send(create).await? else {
+        let (requests, receiver) = mpsc::channel(1);
+        // Some servers say nothing, not even that there is a stream, before they have a request.
+        requests.send(EnvironmentRequest { payload: Some(create) }).await?;
+        let answers = EnvironmentClient::new(channel)
+            .process(ReceiverStream::new(receiver))
+            .await?
+            .into_inner();
+        let mut client = Self { requests, answers };
+        let Response::CreateWorld(world) = client.receive().await? else {
             return Err("no world was made".into());
         };
         let join = JoinWorldRequest { world_name: world.world_name, settings: BTreeMap::new() };
@@ -239,7 +249,13 @@ fn main() -> ExitCode {
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let _ = writeln!(std::io::stderr(), "octoarm-load: {error}");
+            let mut text = error.to_string();
+            let mut cause = error.source();
+            while let Some(error) = cause {
+                text = format!("{text}: {error}");
+                cause = error.source();
+            }
+            let _ = writeln!(std::io::stderr(), "octoarm-load: {text}");
             ExitCode::FAILURE
         }
     }

@@ -22,7 +22,7 @@ fn limits() -> Limits {
 }
 
 fn hub(limits: Limits) -> Arc<Hub> {
-    Hub::new(limits, Metrics::new(), CancellationToken::new())
+    Hub::new(limits, Metrics::new(), CancellationToken::new(), 2)
 }
 
 /// A stream over a connection of its own.
@@ -30,7 +30,7 @@ fn open(hub: &Arc<Hub>) -> Session {
     static CONNECTIONS: Number = Number::new(1);
     let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
     let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    Session::new(Arc::clone(hub), Peer { connection, address })
+    Session::new(Arc::clone(hub), Peer { connection, address, accepted: Arc::default() })
 }
 
 async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
@@ -198,13 +198,17 @@ fn a_reset_world_waits_for_the_client_that_has_joined() {
     });
 }
 
+/// A world whose step takes long enough to be computed elsewhere.
+fn long_world() -> [(&'static str, Tensor); 2] {
+    [("control_period", doubles(vec![1.0], &[])), ("num_envs", integer(16))]
+}
+
 #[test]
 fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
     run(async {
-        let hub = hub(limits());
+        let hub = hub(Limits { max_physics_steps: 1_000_000, ..limits() });
         let mut session = open(&hub);
-        let long = [("control_period", doubles(vec![1.0], &[])), ("num_envs", integer(16))];
-        let world = create(&mut session, &long).await;
+        let world = create(&mut session, &long_world()).await;
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
         assert_eq!(state(&mut session).await, State::Running);
         assert_eq!(state(&mut session).await, State::Running);
@@ -214,6 +218,93 @@ fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
         step.abort();
         until(|| hub.metrics.worlds.get() == 0).await;
         assert_eq!(hub.worlds.len(), 0);
+    });
+}
+
+#[test]
+fn streams_that_end_while_they_wait_for_their_turn_lose_no_world() {
+    run(async {
+        let hub = hub(Limits { max_physics_steps: 1_000_000, max_threads: 1, ..limits() });
+        let mut steps = Vec::new();
+        for _ in 0..6 {
+            let mut session = open(&hub);
+            let world = create(&mut session, &long_world()).await;
+            assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
+            assert_eq!(state(&mut session).await, State::Running);
+            steps.push(session);
+        }
+        let steps: Vec<_> = steps
+            .into_iter()
+            .map(|mut session| tokio::spawn(async move { state(&mut session).await }))
+            .collect();
+        tokio::time::sleep(Duration::from_millis(5)).await;
+        assert_eq!(hub.metrics.worlds.get(), 6);
+        steps.iter().for_each(tokio::task::JoinHandle::abort);
+        until(|| hub.metrics.worlds.get() == 0).await;
+        assert_eq!((hub.worlds.len(), hub.streams().len()), (0, 0));
+    });
+}
+
+#[test]
+fn two_clients_do_not_wait_for_each_other() {
+    run(async {
+        let hub = hub(limits());
+        let (mut first, mut second) = (open(&hub), open(&hub));
+        let one = create(&mut first, &[]).await;
+        let two = create(&mut second, &[]).await;
+        assert_eq!(code(&mut first, join_of(&one)).await, Code::Ok);
+        assert_eq!(code(&mut second, join_of(&two)).await, Code::Ok);
+        let waiting = {
+            let two = two.clone();
+            tokio::spawn(async move {
+                let waited = code(&mut first, reset_world_of(&two)).await;
+                (first, waited)
+            })
+        };
+        until(|| second.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        assert_eq!(code(&mut second, reset_world_of(&one)).await, Code::FailedPrecondition);
+        assert_eq!(state(&mut second).await, State::Running);
+        let (mut first, waited) = waiting.await.expect("task");
+        assert_eq!(waited, Code::Ok);
+        // Who waits no longer can be waited for.
+        let again = tokio::spawn(async move { code(&mut second, reset_world_of(&one)).await });
+        until(|| first.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        state(&mut first).await;
+        assert_eq!(again.await.expect("task"), Code::Ok);
+        assert_eq!(hub.worlds.len(), 1);
+    });
+}
+
+#[test]
+fn the_wish_of_who_has_gone_is_forgotten() {
+    run(async {
+        let hub = hub(limits());
+        let (mut maker, mut agent) = (open(&hub), open(&hub));
+        let world = create(&mut maker, &[]).await;
+        assert_eq!(code(&mut agent, join_of(&world)).await, Code::Ok);
+        assert_eq!(state(&mut agent).await, State::Running);
+        let waiting = tokio::spawn(async move { code(&mut maker, reset_world_of(&world)).await });
+        until(|| agent.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        waiting.abort();
+        until(|| hub.metrics.streams.get() == 1).await;
+        assert_eq!(state(&mut agent).await, State::Running);
+    });
+}
+
+#[test]
+fn many_arms_count_by_their_size() {
+    run(async {
+        let hub = hub(Limits { max_arms: 10, ..limits() });
+        let mut session = open(&hub);
+        let batch = |arms: i64, compartments: i64| {
+            let pairs = [("num_envs", integer(arms)), ("arm.compartments", integer(compartments))];
+            Request::CreateWorld(CreateWorldRequest { settings: settings(&pairs) })
+        };
+        assert_eq!(code(&mut session, batch(11, 3)).await, Code::ResourceExhausted);
+        assert_eq!(code(&mut session, batch(6, 40)).await, Code::ResourceExhausted);
+        assert_eq!(code(&mut session, batch(8, 3)).await, Code::Ok);
+        assert_eq!(code(&mut session, batch(3, 3)).await, Code::ResourceExhausted);
+        assert_eq!(code(&mut session, batch(2, 3)).await, Code::Ok);
     });
 }
 
