@@ -267,7 +267,9 @@ def test_a_server_that_stops_is_an_error_that_says_so() -> None:
 def test_too_many_worlds_are_refused() -> None:
     with ServerProcess("--max-worlds", "1") as server:
         first = RemoteOctoArm(server.address)
-        with pytest.raises(RemoteError, match="1 worlds are taken of the 1 that this server may have") as caught:
+        with pytest.raises(
+            RemoteError, match="1 worlds are taken of the 1 that this server may have"
+        ) as caught:
             RemoteOctoArm(server.address)
         assert caught.value.code == 8
         first.close()
