@@ -75,8 +75,8 @@ class Connection:
                 "use https:// or a certificate"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        # The answer to a step of many arms may be large; a dead server is noticed; streams that share
-        # a connection would wait for each other where a server allows it only so many.
+        # Streams that share a connection would wait for each other where a server allows it only so
+        # many; the answer to a step of many arms may be large; a dead server is noticed.
         options = [
             ("grpc.use_local_subchannel_pool", 1),
             ("grpc.max_receive_message_length", -1),
