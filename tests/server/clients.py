@@ -476,3 +476,10 @@ class RawPeer:
         traceback: TracebackType | None,
     ) -> None:
         self.socket.close()
+
+
+def assert_no_nan(step: pb.StepResponse) -> None:
+    for uid, observation in step.observations.items():
+        value = array_of(observation)
+        if value.dtype == np.float64:
+            assert not np.isnan(value).any(), (uid, value)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from clients import Bystander, nothing_left
 from octoarm_agents.serving import ServerProcess
 
 
@@ -28,3 +29,18 @@ def server() -> Iterator[ServerProcess]:
     with ServerProcess("--metrics-port", "0") as process:
         yield process
         assert process.process.poll() is None, process.log
+
+
+@pytest.fixture(scope="session")
+def quiet_server() -> Iterator[ServerProcess]:
+    """A server whose levels are those of the tests that watch it alone."""
+    with ServerProcess("--metrics-port", "0") as process:
+        yield process
+        assert process.process.poll() is None, process.log
+
+
+@pytest.fixture
+def watched_server(quiet_server: ServerProcess) -> Iterator[ServerProcess]:
+    """The server, with a bystander at its side; the test must leave nothing behind."""
+    with nothing_left(quiet_server), Bystander(quiet_server):
+        yield quiet_server
