@@ -51,6 +51,20 @@ pub(crate) struct Patience {
     pub(crate) probation: Duration,
 }
 
+/// An open connection of the gRPC port, as the metrics count it.
+#[derive(Debug)]
+struct Open {
+    metrics: Arc<Metrics>,
+    connection: u64,
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.metrics.connections.dec();
+        tracing::debug!(connection = self.connection, "connection closed");
+    }
+}
+
 /// A connection, or what came of it.
 #[derive(Debug)]
 pub(crate) struct Connection {
@@ -58,15 +72,8 @@ pub(crate) struct Connection {
     peer: Peer,
     /// Ends connections over which no call was let in; none any more when one was.
     probation: Option<Pin<Box<Sleep>>>,
-    metrics: Arc<Metrics>,
-    _permit: OwnedSemaphorePermit,
-}
-
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.metrics.connections.dec();
-        tracing::debug!(connection = self.peer.connection, "connection closed");
-    }
+    open: Option<Open>,
+    _permit: Option<OwnedSemaphorePermit>,
 }
 
 impl Connected for Connection {
@@ -133,9 +140,6 @@ pub(crate) struct Listener {
     silence: Duration,
 }
 
-/// What a listener gives.
-type Accepted = (Pin<Box<TimeoutStream<TcpStream>>>, SocketAddr, Option<OwnedSemaphorePermit>);
-
 impl Listener {
     /// Gives at most `most` connections at a time, which must not be silent for longer.
     pub(crate) fn new(listener: TcpListener, most: usize, silence: Duration) -> Self {
@@ -143,8 +147,9 @@ impl Listener {
         Self { listener, permits, silence }
     }
 
-    async fn next(&self) -> Accepted {
-        // The semaphore is never closed.
+    async fn next(&self) -> Connection {
+        static NUMBER: AtomicU64 = AtomicU64::new(1);
+        // The semaphore is never closed: there is always a permit.
         let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
         let (stream, address) = loop {
             match self.listener.accept().await {
@@ -162,51 +167,25 @@ impl Listener {
         let mut stream = TimeoutStream::new(stream);
         stream.set_read_timeout(Some(self.silence));
         stream.set_write_timeout(Some(self.silence));
-        (Box::pin(stream), address, permit)
-    }
-}
-
-/// A connection of a listener that is served by axum.
-pub(crate) struct Plain {
-    stream: Pin<Box<TimeoutStream<TcpStream>>>,
-    _permit: Option<OwnedSemaphorePermit>,
-}
-
-impl AsyncRead for Plain {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        self.stream.as_mut().poll_read(context, buffer)
-    }
-}
-
-impl AsyncWrite for Plain {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        self.stream.as_mut().poll_write(context, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.stream.as_mut().poll_flush(context)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.stream.as_mut().poll_shutdown(context)
+        let connection = NUMBER.fetch_add(1, Ordering::Relaxed);
+        Connection {
+            stream: Box::pin(stream),
+            peer: Peer { connection, address, accepted: Arc::default() },
+            probation: None,
+            open: None,
+            _permit: permit,
+        }
     }
 }
 
 impl axum::serve::Listener for Listener {
-    type Io = Plain;
+    type Io = Connection;
     type Addr = SocketAddr;
 
-    async fn accept(&mut self) -> (Plain, SocketAddr) {
-        let (stream, address, permit) = self.next().await;
-        (Plain { stream, _permit: permit }, address)
+    async fn accept(&mut self) -> (Connection, SocketAddr) {
+        let connection = self.next().await;
+        let address = connection.peer.address;
+        (connection, address)
     }
 
     fn local_addr(&self) -> io::Result<SocketAddr> {
@@ -220,22 +199,16 @@ pub(crate) fn connections(
     patience: Patience,
     metrics: Arc<Metrics>,
 ) -> impl Stream<Item = io::Result<Connection>> {
-    static NUMBER: AtomicU64 = AtomicU64::new(1);
     let listener = Listener::new(listener, patience.most, patience.silence);
     async_stream::stream! {
         loop {
-            let (stream, address, permit) = listener.next().await;
-            let Some(permit) = permit else { break };
-            let connection = NUMBER.fetch_add(1, Ordering::Relaxed);
+            let mut accepted = listener.next().await;
+            let Peer { connection, address, .. } = accepted.peer;
             tracing::debug!(connection, %address, "connection opened");
             metrics.connections.inc();
-            yield Ok(Connection {
-                stream,
-                peer: Peer { connection, address, accepted: Arc::default() },
-                probation: Some(Box::pin(tokio::time::sleep(patience.probation))),
-                metrics: Arc::clone(&metrics),
-                _permit: permit,
-            });
+            accepted.probation = Some(Box::pin(tokio::time::sleep(patience.probation)));
+            accepted.open = Some(Open { metrics: Arc::clone(&metrics), connection });
+            yield Ok(accepted);
         }
     }
 }
