@@ -237,9 +237,9 @@ def _free_port(wanted: int) -> int:
 
 def _wait(address: str) -> None:
     """Keep the recording in reach until Ctrl-C."""
-    typer.echo(f"Look at it in a browser: {address}")
-    typer.echo("Ctrl-C ends it.")
     try:
+        typer.echo(f"Look at it in a browser: {address}")
+        typer.echo("Ctrl-C ends it.")
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:
