@@ -47,10 +47,10 @@ struct Options {
     /// Connections, each with a world of its own.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=4096))]
     connections: u16,
-    /// Time to measure [s].
+    /// Seconds to measure.
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
-    /// Time from one action to the next [s].
+    /// Seconds from one action to the next.
     #[arg(long, default_value_t = 0.01)]
     control_period: f64,
 }
