@@ -88,11 +88,12 @@ def test_a_peer_that_stops_answering_is_given_up() -> None:
         nothing_left(server),
         Bystander(server),
         Client(server.address) as quiet,
+        stepping_process(server) as frozen,
+        # Last, for they have only so long to come to something.
         RawPeer(server) as mute,
         RawPeer(server) as greeting,
         RawPeer(server) as half,
         RawPeer(server) as owner,
-        stepping_process(server) as frozen,
     ):
         quiet.enter()
         greeting.greet()
