@@ -62,18 +62,20 @@ struct Places {
     arms: usize,
 }
 
-/// Arms on their way: whatever becomes of who took them, they come back to their world.
+/// Arms on their way: whatever becomes of who took them, they come back to their world, or, if they
+/// are lost, it is given up.
 #[derive(Debug)]
 pub(crate) struct Borrowed {
     worlds: Arc<Worlds>,
     world: Arc<World>,
     arena: Option<Arena>,
+    returned: bool,
 }
 
 impl Borrowed {
     /// The arms of a world that a stream has joined.
     pub(crate) fn new(worlds: Arc<Worlds>, world: Arc<World>, arena: Arena) -> Self {
-        Self { worlds, world, arena: Some(arena) }
+        Self { worlds, world, arena: Some(arena), returned: false }
     }
 
     /// Does something to the arms; none, if they are lost by it.
@@ -90,14 +92,17 @@ impl Borrowed {
     /// The stream has them again.
     pub(crate) fn unwrap(mut self) -> Option<(Arc<World>, Arena)> {
         let arena = self.arena.take()?;
+        self.returned = true;
         Some((Arc::clone(&self.world), arena))
     }
 }
 
 impl Drop for Borrowed {
     fn drop(&mut self) {
-        if let Some(arena) = self.arena.take() {
-            self.worlds.leave(&self.world, arena);
+        match self.arena.take() {
+            Some(arena) => self.worlds.leave(&self.world, arena),
+            None if self.returned => {}
+            None => self.worlds.lose(&self.world),
         }
     }
 }
