@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
-from octoarm_env.parameters import ArmParameters
+from octoarm_env.parameters import ArmParameters, BodyLike
 
 Float = NDArray[np.float64]
 
@@ -60,7 +60,8 @@ class Arm:
     index ``4 (j - 1) + (i - 1)`` for spring i of compartment j.
 
     Args:
-        parameters: the body; the default is ``ArmParameters()``.
+        parameters: the body: an :class:`octoarm_env.ArmParameters`, a name ("nakajima2013" or
+            "inertial"), a mapping of parameters, or the path of a JSON file.
         actuator: ``"direct"``, the base moves linearly to the commanded angle within the physics
             step (the paper's position control), or ``"servo"``, through a critically damped
             second-order follower of natural frequency ``servo_frequency``.
@@ -68,8 +69,8 @@ class Arm:
             static equilibrium.
 
     Raises:
-        ValueError: an unknown actuator, or a body without a static equilibrium.
-        TypeError: parameters that are not an ArmParameters.
+        ValueError: an unknown actuator or body, or a body without a static equilibrium.
+        TypeError: parameters that describe no body.
 
     Every method that steps raises :class:`octoarm_env.DomainError` when a step would leave the
     domain of the model (a joint bent past 150 degrees, a strut or spring far out of shape); the arm
@@ -78,15 +79,12 @@ class Arm:
 
     def __init__(
         self,
-        parameters: ArmParameters | None = None,
+        parameters: BodyLike | None = None,
         actuator: Literal["direct", "servo"] = "direct",
         *,
         undeformed: bool = False,
     ) -> None:
-        self._parameters = ArmParameters() if parameters is None else parameters
-        if not isinstance(self._parameters, ArmParameters):
-            kind = type(parameters).__name__
-            raise TypeError(f"parameters must be an ArmParameters, not {kind}")
+        self._parameters = ArmParameters.of(parameters)
         self._actuator: Literal["direct", "servo"] = actuator
         self._core = _core.Arm(self._parameters.to_json(), actuator, undeformed)
 

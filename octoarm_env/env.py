@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.episode import EpisodeCore
-from octoarm_env.parameters import ArmParameters
+from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
@@ -92,7 +92,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `amplitude`            | `None`        | largest \|angle\| of the target in degrees; None: 20, or the array's own |
     | `control_period`       | `0.01`        | seconds from action to action, a multiple of `arm.timestep` |
     | `actuator`             | `"servo"`     | `"servo"` or `"direct"`                                  |
-    | `arm`                  | `None`        | the body, an `ArmParameters`                             |
+    | `arm`                  | `None`        | the body: an `ArmParameters`, a name (`"nakajima2013"`, `"inertial"`), a mapping or a JSON file; its `base_coupling` says whether a turning base accelerates the arm or turns gravity only |
     | `action_range`         | `None`        | degrees of base rotation at an action of 1; None: 1.3 × amplitude |
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
@@ -131,7 +131,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         amplitude: float | None = None,
         control_period: float = 0.01,
         actuator: Literal["servo", "direct"] = "servo",
-        arm: ArmParameters | None = None,
+        arm: BodyLike | None = None,
         action_range: float | None = None,
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,

@@ -7,12 +7,18 @@ import json
 import math
 import os
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeAlias, cast
 
 from octoarm_env import _core
 
+#: The named bodies, each with all its fields, as the physics itself holds them.
+_PRESETS: dict[str, dict[str, Any]] = json.loads(_core.preset_parameters())
 _DEFAULTS: dict[str, Any] = json.loads(_core.default_parameters())
+
+#: Names that :meth:`ArmParameters.preset` takes.
+PRESETS = tuple(_PRESETS)
 
 
 def _default(name: str) -> Any:
@@ -30,11 +36,14 @@ class ArmParameters:
     ========================== ===================== ==================================================
     field                      range                 meaning
     ========================== ===================== ==================================================
+    base_coupling              "gravity", "inertial" what a turning base does to the arm: it turns
+                                                     gravity only, or accelerates the arm (*open*)
     rest_length                (0, 10] m             l_0 of every longitudinal spring
     base_radius                (0, 10] m             radius of the base plane
     tip_radius                 (0, 10] m             rest radius of the last plane; linear taper between
-    longitudinal_mass          (0, 100] kg           M_l, lumped at the spring's upper joint
-    transverse_mass            [0, 100] kg           M_r, lumped at the same joint
+    longitudinal_mass          (0, 100] kg           M_l, at the spring's upper joint
+    transverse_mass            [0, 100] kg           M_r, at the same joint
+    longitudinal_mass_share    [1/3, 1]              part of M_l that moves with the joint (*open*)
     longitudinal_damping       [0, 1e6] N s/m        C_l
     transverse_damping         [0, 1e6] N s/m        C_r
     longitudinal_stiffness     (0, 1e9] N/m          K_l
@@ -62,11 +71,13 @@ class ArmParameters:
         TypeError: a field that does not exist.
     """
 
+    base_coupling: Literal["gravity", "inertial"] = _default("base_coupling")
     rest_length: float = _default("rest_length")
     base_radius: float = _default("base_radius")
     tip_radius: float = _default("tip_radius")
     longitudinal_mass: float = _default("longitudinal_mass")
     transverse_mass: float = _default("transverse_mass")
+    longitudinal_mass_share: float = _default("longitudinal_mass_share")
     longitudinal_damping: float = _default("longitudinal_damping")
     transverse_damping: float = _default("transverse_damping")
     longitudinal_stiffness: float = _default("longitudinal_stiffness")
@@ -113,6 +124,52 @@ class ArmParameters:
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as a dictionary of plain numbers, tuples and names."""
         return dataclasses.asdict(self)
+
+    @classmethod
+    def preset(cls, name: str) -> ArmParameters:
+        """Make a named body.
+
+        Args:
+            name: "nakajima2013", the paper's, whose base turns gravity only; or "inertial", whose
+                base accelerates the arm in the world (docs/body.md).
+
+        Raises:
+            ValueError: another name.
+        """
+        if name not in _PRESETS:
+            raise ValueError(f"arm = {name!r}: expected one of the named bodies {PRESETS}")
+        return cls(**_PRESETS[name])
+
+    @classmethod
+    def of(cls, body: BodyLike | None) -> ArmParameters:
+        """Make parameters of whatever describes a body.
+
+        Args:
+            body: parameters (returned as they are), a name as in :meth:`preset`, a mapping as in
+                :meth:`from_dict`, the path of a JSON file as in :meth:`from_json`, or None for the
+                default.
+
+        Raises:
+            ValueError: no such name or file, or a body that is not valid.
+            TypeError: something else.
+            OSError: a file that cannot be read.
+        """
+        if body is None:
+            return cls()
+        if isinstance(body, cls):
+            return body
+        if isinstance(body, Mapping):
+            return cls.from_dict(dict(body))
+        if isinstance(body, str) and body in _PRESETS:
+            return cls.preset(body)
+        if isinstance(body, str | os.PathLike):
+            if not Path(body).exists():
+                raise ValueError(
+                    f"arm = {os.fspath(body)!r}: expected a named body, one of {PRESETS}, or a JSON file"
+                )
+            return cls.from_json(Path(body))
+        kind = type(body).__name__
+        raise TypeError(f"arm must be an ArmParameters, a name, a mapping or a file, not {kind}")
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> ArmParameters:
@@ -164,3 +221,7 @@ class ArmParameters:
             return cls.from_dict(cast("dict[str, Any]", fields))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{name}: {error}") from None
+
+
+#: Whatever describes a body, see :meth:`ArmParameters.of`.
+BodyLike: TypeAlias = ArmParameters | Mapping[str, Any] | str | os.PathLike[str]

@@ -36,7 +36,7 @@ def episode_settings(
             "amplitude": number("amplitude", amplitude, optional=True),
             "control_period": number("control_period", control_period),
             "actuator": _actuator(actuator),
-            "arm": _parameters(arm).to_dict(),
+            "arm": ArmParameters.of(arm).to_dict(),
             "action_range": number("action_range", action_range, optional=True),
             "tracking_weight": number("tracking_weight", tracking_weight),
             "reward_width": number("reward_width", reward_width),
@@ -75,14 +75,6 @@ def _actuator(value: Any) -> str:
     if value not in ("servo", "direct"):
         raise ValueError(f"actuator = {value!r}: expected 'servo' or 'direct'")
     return str(value)
-
-
-def _parameters(value: Any) -> ArmParameters:
-    if value is None:
-        return ArmParameters()
-    if not isinstance(value, ArmParameters):
-        raise TypeError(f"arm must be an ArmParameters, not {type(value).__name__}")
-    return value
 
 
 def _target(value: Any) -> str | list[list[float]]:

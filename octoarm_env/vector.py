@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.env import OctoArmEnv
-from octoarm_env.parameters import ArmParameters
+from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import BatchHistory
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
@@ -66,7 +66,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         amplitude: as in `OctoArmEnv`, for all; or a sequence of N of them.
         control_period: as in `OctoArmEnv`.
         actuator: as in `OctoArmEnv`.
-        arm: the body of all; or a sequence of N bodies with one number of compartments.
+        arm: the body of all, as in `OctoArmEnv`; or a sequence of N bodies with one number of
+            compartments.
         action_range: as in `OctoArmEnv`.
         tracking_weight: as in `OctoArmEnv`.
         reward_width: as in `OctoArmEnv`.
@@ -98,7 +99,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         amplitude: float | Sequence[float | None] | Float | None = None,
         control_period: float = 0.01,
         actuator: Literal["servo", "direct"] = "servo",
-        arm: ArmParameters | Sequence[ArmParameters] | None = None,
+        arm: BodyLike | Sequence[BodyLike] | None = None,
         action_range: float | None = None,
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,

@@ -210,7 +210,7 @@ def test_bad_construction() -> None:
     with pytest.raises(ValueError, match="actuator"):
         Arm(actuator="hydraulic")
     with pytest.raises(TypeError, match="ArmParameters"):
-        Arm({"arm_density": 1000.0})
+        Arm(1000.0)
 
 
 def test_releases_the_gil() -> None:

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import pickle
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
@@ -118,3 +119,37 @@ def test_a_written_file_has_the_mode_of_any_other(tmp_path):
     ArmParameters().to_json(tmp_path / "body.json")
     assert (tmp_path / "body.json").stat().st_mode == (tmp_path / "plain").stat().st_mode
     assert sorted(path.name for path in tmp_path.iterdir()) == ["body.json", "plain"]
+
+
+def test_named_bodies() -> None:
+    paper, inertial = (ArmParameters.preset(name) for name in ("nakajima2013", "inertial"))
+    assert (paper.base_coupling, inertial.base_coupling) == ("gravity", "inertial")
+    with pytest.raises(ValueError, match="arm = 'octopus': expected one of .*nakajima2013"):
+        ArmParameters.preset("octopus")
+
+
+def test_a_body_by_name_mapping_and_file(tmp_path) -> None:
+    paper = ArmParameters.preset("nakajima2013")
+    path = tmp_path / "body.json"
+    paper.to_json(path)
+    for body in ("nakajima2013", paper.to_dict(), path, str(path), paper):
+        assert ArmParameters.of(body) == Arm(body).parameters == paper
+        envs = gym.make_vec("OctoArm-v0", num_envs=2, arm=body)
+        lengths, _ = envs.reset(seed=0)
+        envs.close()
+        env = gym.make("OctoArm-v0", arm=body)
+        assert np.array_equal(env.reset(seed=0)[0], lengths[0])
+    assert ArmParameters.of(None) == ArmParameters()
+    with pytest.raises(ValueError, match="arm = 'octopus': expected a named body"):
+        gym.make("OctoArm-v0", arm="octopus")
+    with pytest.raises(TypeError, match="arm must be an ArmParameters, a name"):
+        gym.make("OctoArm-v0", arm=3)
+
+
+def test_gravity_alone_reaches_the_arm_of_the_paper() -> None:
+    weightless = ArmParameters.preset("nakajima2013").replace(gravity=(0.0, 0.0, 0.0))
+    angles = np.cumsum(np.full((300, 2), 0.2), axis=0)
+    for coupling, moves in (("gravity", False), ("inertial", True)):
+        arm = Arm(weightless.replace(base_coupling=coupling))
+        rest = arm.lengths
+        assert (np.abs(arm.run(angles) - rest).max() > 1e-6) == moves

@@ -192,7 +192,7 @@ def arm(
         Path | None,
         typer.Option(
             "--arm",
-            help="JSON file with the body's parameters; what it leaves out takes its default.",
+            help="A body: nakajima2013, inertial, or a JSON file of parameters.",
             show_default="the default body",
         ),
     ] = None,

@@ -67,13 +67,11 @@ def output_file(path: Path | None) -> Path | None:
 
 
 def read_body(path: Path | None) -> ArmParameters:
-    """The body in a JSON file, the default body for None."""
+    """The body of that name or in that JSON file, the default body for None."""
     from octoarm_env import ArmParameters
 
-    if path is None:
-        return ArmParameters()
     try:
-        return ArmParameters.from_json(path)
+        return ArmParameters.of(None if path is None else str(path))
     except OSError as error:
         reason = f"cannot read {path}: {error.strerror}."
     except ValueError as error:
@@ -122,7 +120,7 @@ OtherArm = Annotated[
     Path | None,
     typer.Option(
         "--arm",
-        help="JSON file with the parameters of another body to act on.",
+        help="Another body to act on: nakajima2013, inertial, or a JSON file of parameters.",
         show_default="the agent's own body",
     ),
 ]

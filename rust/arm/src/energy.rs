@@ -3,14 +3,15 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::parameters::ArmParameters;
+use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::ArmState;
 use crate::transcendental::sin_cos;
 
 /// Mechanical energy of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Energy {
-    /// Of all joint masses and planes, in the world frame \[J\].
+    /// Of all joint masses and planes \[J\]: in the world under [`BaseCoupling::Inertial`], relative to
+    /// the base under [`BaseCoupling::Gravity`].
     pub kinetic: f64,
     /// Of all springs \[J\].
     pub elastic: f64,
@@ -26,7 +27,7 @@ fn about_y(angle: f64) -> Matrix3<f64> {
     Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 }
 
-/// Position, frame, angular and linear velocity of a plane in the world frame.
+/// Position, frame, angular and linear velocity of a plane, along the axes of the world.
 struct PlanePose {
     centre: Vector3<f64>,
     frame: Matrix3<f64>,
@@ -34,8 +35,12 @@ struct PlanePose {
     velocity: Vector3<f64>,
 }
 
-fn base_pose(state: &ArmState) -> PlanePose {
+fn base_pose(coupling: BaseCoupling, state: &ArmState) -> PlanePose {
     let [theta, phi, theta_rate, phi_rate] = state.base;
+    let (theta_rate, phi_rate) = match coupling {
+        BaseCoupling::Gravity => (0.0, 0.0),
+        BaseCoupling::Inertial => (theta_rate, phi_rate),
+    };
     let first = about_x(theta);
     PlanePose {
         centre: Vector3::zeros(),
@@ -56,8 +61,9 @@ fn next_pose(floor: &PlanePose, q: &[f64; 7], u: &[f64; 7]) -> PlanePose {
     }
 }
 
-fn poses(state: &ArmState) -> Vec<PlanePose> {
-    let mut poses = vec![base_pose(state)];
+/// All planes, base first; velocities as the body's coupling sees them.
+fn poses(coupling: BaseCoupling, state: &ArmState) -> Vec<PlanePose> {
+    let mut poses = vec![base_pose(coupling, state)];
     for (q, u) in state.coordinates.iter().zip(&state.rates) {
         let pose = next_pose(&poses[poses.len() - 1], q, u);
         poses.push(pose);
@@ -68,7 +74,7 @@ fn poses(state: &ArmState) -> Vec<PlanePose> {
 /// Centres of all planes, base first \[m\].
 #[must_use]
 pub(crate) fn plane_centres(state: &ArmState) -> Vec<[f64; 3]> {
-    poses(state).iter().map(|pose| pose.centre.into()).collect()
+    poses(BaseCoupling::Gravity, state).iter().map(|pose| pose.centre.into()).collect()
 }
 
 /// Directions u_1 to u_4 of the struts in a plane's own frame (Fig. 1).
@@ -83,7 +89,7 @@ pub(crate) fn joints(parameters: &ArmParameters, state: &ArmState) -> Vec<[[f64;
     let radii =
         std::iter::once(base).chain(state.coordinates.iter().map(|q| [q[3], q[4], q[5], q[6]]));
     let directions = strut_directions();
-    poses(state)
+    poses(parameters.base_coupling, state)
         .iter()
         .zip(radii)
         .map(|(pose, radii)| {
@@ -100,7 +106,7 @@ pub(crate) fn energy(parameters: &ArmParameters, state: &ArmState, lengths: &[f6
     let inertia = parameters.plane_inertia;
     let mut kinetic = 0.0;
     let mut elastic = 0.0;
-    for (j, pose) in poses(state).iter().enumerate().skip(1) {
+    for (j, pose) in poses(parameters.base_coupling, state).iter().enumerate().skip(1) {
         let (q, u) = (&state.coordinates[j - 1], &state.rates[j - 1]);
         for (i, direction) in directions.iter().enumerate() {
             let out = pose.frame * direction;

@@ -8,7 +8,7 @@ use crate::kernel::{
     BLOCK, BaseFrame, Block, Body, Lengths, Material, Muscles, Rest, Row, WIDTH, Workspace,
     accelerations, articulated, inward, kinematics, lane_row, outward, place, spring_lengths,
 };
-use crate::parameters::ArmParameters;
+use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::COORDINATES;
 use crate::transcendental::sin_cos;
 
@@ -19,6 +19,8 @@ pub(crate) struct Engine<const L: usize> {
     bounds: Box<Bounds>,
     shares: Box<Shares>,
     gravity: [[f64; L]; 3],
+    /// Whether a turning base carries the arm along, [`BaseCoupling::Inertial`].
+    carries: [bool; L],
     pub(crate) muscles: Vec<Muscles>,
     coordinates: Vec<Block>,
     rates: Vec<Block>,
@@ -167,6 +169,7 @@ impl<const L: usize> Engine<L> {
                 sixth: row(|arm| arm.timestep / 6.0),
             }),
             gravity: [0, 1, 2].map(|axis| arms.map(|arm| arm.gravity[axis])),
+            carries: arms.map(|arm| arm.base_coupling == BaseCoupling::Inertial),
             muscles: vec![Muscles::ZERO; chunks],
             rates: vec![Block::ZERO; chunks],
             lengths: vec![Lengths::ZERO; chunks],
@@ -267,7 +270,8 @@ impl<const L: usize> Engine<L> {
         self.trigonometry_known = true;
     }
 
-    /// The bases' motion as their own frames see it.
+    /// The bases' motion as their own frames see it. Under [`BaseCoupling::Gravity`] these frames are
+    /// the arms' world: they stand still, and only gravity turns in them.
     #[inline(always)]
     fn base_frame(&self, motion: &BaseRows<L>) -> BaseFrame<L> {
         let mut frame =
@@ -275,14 +279,16 @@ impl<const L: usize> Engine<L> {
         for lane in 0..L {
             let (sine_theta, cosine_theta) = sin_cos(motion.angle[0][lane]);
             let (s, c) = sin_cos(motion.angle[1][lane]);
-            let (theta_rate, phi_rate) = (motion.rate[0][lane], motion.rate[1][lane]);
-            let theta_acceleration = motion.acceleration[0][lane];
+            let felt = |value: f64| if self.carries[lane] { value } else { 0.0 };
+            let (theta_rate, phi_rate) = (felt(motion.rate[0][lane]), felt(motion.rate[1][lane]));
+            let theta_acceleration = felt(motion.acceleration[0][lane]);
+            let phi_acceleration = felt(motion.acceleration[1][lane]);
             // R_0 = R_x(θ) R_y(φ): ω = θ̇ R_yᵀ x + φ̇ y.
             frame.omega[0][lane] = c * theta_rate;
             frame.omega[1][lane] = phi_rate;
             frame.omega[2][lane] = s * theta_rate;
             frame.psi[0][lane] = c.mul_add(theta_acceleration, -(s * theta_rate * phi_rate));
-            frame.psi[1][lane] = motion.acceleration[1][lane];
+            frame.psi[1][lane] = phi_acceleration;
             frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
             let (x, y, z) = (self.gravity[0][lane], self.gravity[1][lane], self.gravity[2][lane]);
             let (y, z) = (

@@ -25,5 +25,5 @@ pub use energy::Energy;
 pub use engine::InstructionSet;
 pub use error::{DomainError, Limit, ParameterError, read_json};
 pub use lanes::ArmLanes;
-pub use parameters::{ArmParameters, ReferenceArea, VolumeForce};
+pub use parameters::{ArmParameters, BaseCoupling, ReferenceArea, VolumeForce};
 pub use state::{ArmState, COORDINATES};

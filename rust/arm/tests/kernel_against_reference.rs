@@ -3,7 +3,9 @@
 
 mod reference;
 
-use octoarm_arm::{Actuator, Arm, ArmParameters, BaseMotion, ReferenceArea, VolumeForce};
+use octoarm_arm::{
+    Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ReferenceArea, VolumeForce,
+};
 use reference::{BaseSample, Reference, random_state};
 
 /// Rounding differs between the two formulations, nothing else does: a perturbation of 1e-16 stays
@@ -37,7 +39,11 @@ fn bodies() -> Vec<ArmParameters> {
             ..plain.clone()
         },
         ArmParameters { compartments: 8, volume_force: VolumeForce::Total, ..plain.clone() },
-        ArmParameters { compartments: 1, ..plain },
+        ArmParameters { compartments: 1, ..plain.clone() },
+        ArmParameters { base_coupling: BaseCoupling::Gravity, ..plain.clone() },
+        ArmParameters { longitudinal_mass_share: 0.5, ..plain },
+        ArmParameters::preset("nakajima2013").unwrap(),
+        ArmParameters::preset("inertial").unwrap(),
     ]
 }
 
@@ -139,11 +145,22 @@ fn joints_are_as_far_apart_as_the_springs_are_long() {
 
 #[test]
 fn energies_and_positions_agree() {
-    let parameters = ArmParameters { plane_mass: 0.01, plane_inertia: 1e-6, ..Default::default() };
-    let state = random_state(&parameters, 3, 1.0);
+    for base_coupling in [BaseCoupling::Gravity, BaseCoupling::Inertial] {
+        energies_and_positions_agree_for(&ArmParameters {
+            base_coupling,
+            longitudinal_mass_share: 0.6,
+            plane_mass: 0.01,
+            plane_inertia: 1e-6,
+            ..Default::default()
+        });
+    }
+}
+
+fn energies_and_positions_agree_for(parameters: &ArmParameters) {
+    let state = random_state(parameters, 3, 1.0);
     let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
     arm.set_state(&state).unwrap();
-    let reference = Reference::new(&parameters, &state);
+    let reference = Reference::new(parameters, &state);
     let base = BaseSample {
         angle: [state.base[0], state.base[1]],
         rate: [state.base[2], state.base[3]],

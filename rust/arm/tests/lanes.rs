@@ -2,7 +2,8 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use octoarm_arm::{
-    Actuator, Arm, ArmLanes, ArmParameters, InstructionSet, ReferenceArea, VolumeForce,
+    Actuator, Arm, ArmLanes, ArmParameters, BaseCoupling, InstructionSet, ReferenceArea,
+    VolumeForce,
 };
 
 const SETS: [InstructionSet; 3] =
@@ -20,6 +21,12 @@ fn bodies(compartments: usize) -> Vec<Arm> {
         .map(|index| {
             let share = f64::from(index) / 8.0;
             let parameters = ArmParameters {
+                base_coupling: if index % 4 < 2 {
+                    BaseCoupling::Gravity
+                } else {
+                    BaseCoupling::Inertial
+                },
+                longitudinal_mass_share: 1.0 - 0.5 * share,
                 compartments,
                 arm_density: 1100.0 + 300.0 * share,
                 area_scale: 5.0 + 50.0 * share,

@@ -4,7 +4,8 @@
 mod reference;
 
 use octoarm_arm::{
-    Actuator, Arm, ArmParameters, BaseMotion, ParameterError, ReferenceArea, VolumeForce,
+    Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ParameterError, ReferenceArea,
+    VolumeForce,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -14,12 +15,13 @@ use serde_json::Value;
 type Field = fn(&mut ArmParameters) -> &mut f64;
 
 /// A scalar, its lower limit, whether that limit is itself allowed, and its upper limit.
-const SCALARS: [(&str, Field, f64, bool, f64); 19] = [
+const SCALARS: [(&str, Field, f64, bool, f64); 20] = [
     ("rest_length", |p| &mut p.rest_length, 0.0, false, 10.0),
     ("base_radius", |p| &mut p.base_radius, 0.0, false, 10.0),
     ("tip_radius", |p| &mut p.tip_radius, 0.0, false, 10.0),
     ("longitudinal_mass", |p| &mut p.longitudinal_mass, 0.0, false, 100.0),
     ("transverse_mass", |p| &mut p.transverse_mass, 0.0, true, 100.0),
+    ("longitudinal_mass_share", |p| &mut p.longitudinal_mass_share, 1.0 / 3.0, true, 1.0),
     ("longitudinal_damping", |p| &mut p.longitudinal_damping, 0.0, true, 1e6),
     ("transverse_damping", |p| &mut p.transverse_damping, 0.0, true, 1e6),
     ("longitudinal_stiffness", |p| &mut p.longitudinal_stiffness, 0.0, false, 1e9),
@@ -36,8 +38,11 @@ const SCALARS: [(&str, Field, f64, bool, f64); 19] = [
     ("servo_frequency", |p| &mut p.servo_frequency, 0.0, false, 1e4),
 ];
 const ARRAYS: [&str; 3] = ["gravity", "drag_coefficients", "lift_coefficients"];
-const CHOICES: [(&str, [&str; 2]); 2] =
-    [("reference_area", ["wetted", "planform"]), ("volume_force", ["applied", "total"])];
+const CHOICES: [(&str, [&str; 2]); 3] = [
+    ("base_coupling", ["gravity", "inertial"]),
+    ("reference_area", ["wetted", "planform"]),
+    ("volume_force", ["applied", "total"]),
+];
 
 fn default_json() -> serde_json::Map<String, Value> {
     let text = ArmParameters::default().to_json().unwrap();
@@ -240,11 +245,16 @@ fn valid_parameters() -> impl Strategy<Value = ArmParameters> {
     let gravity = prop::array::uniform3(-1e3..1e3_f64);
     let lift = prop::array::uniform5(-1e3..1e3_f64);
     let drag = prop::array::uniform5(0.0..1e3_f64);
-    let choices = (any::<bool>(), any::<bool>(), 1..=ArmParameters::MAX_COMPARTMENTS);
+    let choices = (any::<[bool; 3]>(), 1..=ArmParameters::MAX_COMPARTMENTS);
     (scalars, gravity, lift, drag, choices)
         .prop_map(|(scalars, gravity, lift_coefficients, drag_coefficients, choices)| {
-            let (wetted, applied, compartments) = choices;
+            let ([gravity_only, wetted, applied], compartments) = choices;
             let mut parameters = ArmParameters {
+                base_coupling: if gravity_only {
+                    BaseCoupling::Gravity
+                } else {
+                    BaseCoupling::Inertial
+                },
                 gravity,
                 lift_coefficients,
                 drag_coefficients,

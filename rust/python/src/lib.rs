@@ -33,6 +33,19 @@ mod _core {
         ArmParameters::default().to_json().map_err(invalid)
     }
 
+    /// The named bodies with all their parameters, as JSON text.
+    #[pyfunction]
+    fn preset_parameters() -> PyResult<String> {
+        let bodies: PyResult<Vec<String>> = ArmParameters::PRESETS
+            .iter()
+            .map(|name| {
+                let body = ArmParameters::preset(name).and_then(|body| body.to_json());
+                Ok(format!("{name:?}: {}", body.map_err(invalid)?))
+            })
+            .collect();
+        Ok(format!("{{{}}}", bodies?.join(", ")))
+    }
+
     /// Parses and validates parameters given as JSON text; returns them complete.
     #[pyfunction]
     fn check_parameters(text: &str) -> PyResult<String> {

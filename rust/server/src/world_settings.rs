@@ -89,7 +89,6 @@ fn known() -> &'static BTreeSet<String> {
         let body = names(serde_json::to_value(ArmParameters::default()));
         names(serde_json::to_value(EpisodeConfig::default()))
             .into_iter()
-            .filter(|name| name != "arm")
             .chain(body.into_iter().map(|name| format!("{ARM}{name}")))
             .chain(FRAME.map(str::to_owned))
             .collect()
@@ -100,6 +99,15 @@ fn known() -> &'static BTreeSet<String> {
 /// How many arms of the usual size one of these settings counts for.
 pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
     (config.arm.compartments as f64 / USUAL_COMPARTMENTS).max(1.0)
+}
+
+/// All parameters of a body that is told by its name.
+fn named_body(name: &Value) -> Answer<Map<String, Value>> {
+    let body = match name {
+        Value::String(name) => ArmParameters::preset(name)?,
+        other => ArmParameters::preset(&other.to_string())?,
+    };
+    Ok(octoarm_arm::read_json(&body.to_json()?)?)
 }
 
 impl WorldSettings {
@@ -117,10 +125,13 @@ impl WorldSettings {
                 known.join(", ")
             )));
         }
+        // In the order of their names: "arm", a whole body, comes before "arm.…", changes to it.
         for (name, tensor) in tensors {
             let most = if name == "target" { 2 * MOST_ROWS } else { FEW };
             let value = to_json(name, tensor, most)?;
-            if FRAME.contains(&name.as_str()) {
+            if name == "arm" {
+                arm = named_body(&value)?;
+            } else if FRAME.contains(&name.as_str()) {
                 frame.insert(name.clone(), value);
             } else if let Some(parameter) = name.strip_prefix(ARM) {
                 arm.insert(parameter.to_owned(), value);
@@ -268,6 +279,12 @@ mod tests {
         assert_eq!((world.seed, world.num_envs), (Some(u64::MAX), Some(3)));
         assert_eq!(world.max_episode_steps, None);
 
+        let named =
+            settings(&[("arm", text("inertial")), ("arm.area_scale", doubles(vec![0.5], &[]))])
+                .expect("world");
+        let body = ArmParameters { area_scale: 0.5, ..ArmParameters::inertial() };
+        assert_eq!(named.config.arm, body);
+
         let square = vec![0.5, 0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5];
         let samples = settings(&[("target", doubles(square, &[-1, 2]))]);
         let samples = samples.map(|world| world.config.target);
@@ -288,7 +305,8 @@ mod tests {
                 "target = \"square\": expected \"quadratic\", \"van_der_pol\"",
             ),
             ("colour", integer(1), "colour"),
-            ("arm", text("{}"), "unknown setting \"arm\"; known are action_change_weight"),
+            ("arm", text("{}"), "arm = \"{}\" is outside the allowed range of named bodies"),
+            ("arm", integer(1), "arm = \"1\" is outside the allowed range of named bodies"),
             ("arm.colour", integer(1), "unknown setting \"arm.colour\""),
             ("arm.timestep", scalar(-1.0), "timestep = -1"),
             ("arm.compartments", scalar(2.5), "arm.compartments: invalid type"),

@@ -18,7 +18,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
-use octoarm_arm::{ArmParameters, ArmState, ReferenceArea, VolumeForce};
+use octoarm_arm::{ArmParameters, ArmState, BaseCoupling, ReferenceArea, VolumeForce};
 
 /// The lift has no direction if what remains of the velocity's normal part, after making it
 /// orthogonal to the velocity, is at most this fraction of the speed: the flow is then along the
@@ -151,7 +151,7 @@ impl Reference {
         let mut mass_matrix = DMatrix::zeros(size, size);
         let mut force = DVector::zeros(size);
 
-        let joint_mass = self.parameters.longitudinal_mass + self.parameters.transverse_mass;
+        let joint_mass = self.joint_mass();
         for (j, plane) in planes.iter().enumerate().skip(1) {
             let load = &loads[j];
             for i in 0..4 {
@@ -234,7 +234,7 @@ impl Reference {
 
     /// Kinetic energy \[J\].
     pub fn kinetic_energy(&self, base: &BaseSample) -> f64 {
-        let joint_mass = self.parameters.longitudinal_mass + self.parameters.transverse_mass;
+        let joint_mass = self.joint_mass();
         self.planes(base)
             .iter()
             .skip(1)
@@ -292,8 +292,13 @@ impl Reference {
     /// Positions, velocities and bias accelerations of all planes, the base first.
     fn planes(&self, base: &BaseSample) -> Vec<Plane> {
         let [theta, phi] = base.angle;
-        let [theta_rate, phi_rate] = base.rate;
-        let [theta_acceleration, phi_acceleration] = base.acceleration;
+        // In the paper's body the base is at rest, wherever it points: what moves, moves relative to it.
+        let still = [0.0; 2];
+        let [[theta_rate, phi_rate], [theta_acceleration, phi_acceleration]] =
+            match self.parameters.base_coupling {
+                BaseCoupling::Gravity => [still, still],
+                BaseCoupling::Inertial => [base.rate, base.acceleration],
+            };
         let hinges = [Vector3::x(), about_x(theta) * Vector3::y()];
         let spin = theta_rate * hinges[0] + phi_rate * hinges[1];
         let spin_bias = theta_acceleration * hinges[0]
@@ -341,6 +346,12 @@ impl Reference {
             ));
         }
         planes
+    }
+
+    /// What moves with every joint: the transverse spring and a share of the longitudinal one.
+    fn joint_mass(&self) -> f64 {
+        let p = &self.parameters;
+        p.transverse_mass + p.longitudinal_mass * p.longitudinal_mass_share
     }
 
     /// A plane's inertia tensor about its centre, without the joint masses, world frame.
