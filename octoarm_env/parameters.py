@@ -165,7 +165,8 @@ class ArmParameters:
         if isinstance(body, str | os.PathLike):
             if not Path(body).exists():
                 raise ValueError(
-                    f"arm = {os.fspath(body)!r}: expected a named body, one of {PRESETS}, or a JSON file"
+                    f"arm: cannot read {os.fspath(body)}: neither a JSON file nor one of the named"
+                    f" bodies {PRESETS}"
                 )
             return cls.from_json(Path(body))
         kind = type(body).__name__

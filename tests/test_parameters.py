@@ -140,7 +140,7 @@ def test_a_body_by_name_mapping_and_file(tmp_path) -> None:
         env = gym.make("OctoArm-v0", arm=body)
         assert np.array_equal(env.reset(seed=0)[0], lengths[0])
     assert ArmParameters.of(None) == ArmParameters()
-    with pytest.raises(ValueError, match="arm = 'octopus': expected a named body"):
+    with pytest.raises(ValueError, match="arm: cannot read octopus: neither"):
         gym.make("OctoArm-v0", arm="octopus")
     with pytest.raises(TypeError, match="arm must be an ArmParameters, a name"):
         gym.make("OctoArm-v0", arm=3)
