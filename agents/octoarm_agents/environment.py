@@ -73,12 +73,17 @@ def check_spaces(env: Env) -> None:
         raise ValueError(f"env has actions {action_space}, expected {bare.action_space}")
 
 
+#: What every body was before these parameters existed.
+_FORMERLY = {"base_coupling": "inertial", "longitudinal_mass_share": 1.0}
+
+
 def decode_body(entries: dict[str, Any]) -> ArmParameters:
     """Give the body that a file describes.
 
     Raises:
         ValueError: a parameter is missing, unknown or out of its range.
     """
+    entries = _FORMERLY | entries
     # A parameter left out would silently take its default of today.
     missing = [field.name for field in fields(ArmParameters) if field.name not in entries]
     if missing:
