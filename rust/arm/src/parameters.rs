@@ -37,8 +37,7 @@ pub enum BaseCoupling {
 }
 
 /// Every parameter of the body, in SI units. Defaults are Table 1 of the paper with the readings
-/// documented for each field; all are validated by
-/// [`ArmParameters::validate`].
+/// documented for each field; all are validated by [`ArmParameters::validate`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
@@ -170,8 +169,8 @@ impl ArmParameters {
         }
     }
 
-    /// The paper's body: Table 1, and for what the table leaves open the values that give the paper's
-    /// results (docs/body.md).
+    /// The paper's body: Table 1, and for what the table leaves open values with which the errors of
+    /// Table 2 are at or below the paper's (docs/body.md).
     #[must_use]
     pub fn nakajima2013() -> Self {
         Self {
@@ -205,8 +204,7 @@ impl ArmParameters {
         }
     }
 
-    /// The arm in the world: the base carries it along. Not fitted to the paper; natural numbers,
-    /// chosen so that the environment is calm (docs/body.md).
+    /// The arm in the world: the base carries it along. Natural numbers, not fitted to the paper.
     #[must_use]
     pub fn inertial() -> Self {
         Self {
