@@ -13,7 +13,6 @@ __all__ = [
     "EpisodeBatch",
     "check_parameters",
     "check_step",
-    "default_parameters",
     "instruction_set",
     "limit_cycle_orbit",
     "limit_cycle_signal",
@@ -31,7 +30,6 @@ class DomainError(RuntimeError):
     lengths: _Float | None
     outputs: _Float | None
 
-def default_parameters() -> str: ...
 def preset_parameters() -> str: ...
 def check_parameters(text: str) -> str: ...
 def check_step(action: ArrayLike, running: bool) -> _Float: ...

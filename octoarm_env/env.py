@@ -32,6 +32,14 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     base angles: all it has are the lengths of the arm's 80 longitudinal springs, so the phase of the
     motion must be read from the body. A linear readout of the lengths suffices to hold the cycle.
 
+    What a turning base does to the arm is a parameter of the body, `arm.base_coupling`. With
+    `"gravity"`, the paper's and that of the default body `"nakajima2013"`, the base turns the
+    direction of gravity and nothing else: arm and water live in the frame of the base, and a base
+    that jumps throws nothing about. With `"inertial"` the base accelerates the arm in the world, as
+    a motor would: `arm="inertial"` is a body for that. Such a base needs a servo
+    (`actuator="servo"`), since a jump is an endless acceleration, and a smaller `amplitude`: at 20
+    degrees neither random nor bang-bang actions break it, at 30 bang-bang actions do.
+
     ## Action space
     `Box(-1, 1, (2,), float32)`: the base rotation as a fraction of `action_range`.
 
@@ -40,9 +48,10 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | 0   | commanded θ, rotation about x       | -1  | 1   | `action_range` degrees |
     | 1   | commanded φ, rotation about (new) y | -1  | 1   | `action_range` degrees |
 
-    With `actuator="servo"` the base follows the command through a critically damped second-order
-    servo of natural frequency `arm.servo_frequency`; with `"direct"` it reaches the command at the
-    end of the control period at constant speed.
+    With `actuator="direct"`, the paper's position control, the base reaches the command at the end
+    of the control period at constant speed; with `"servo"` it follows the command through a
+    critically damped second-order servo of natural frequency `arm.servo_frequency`, which lags by
+    some 27 ms.
 
     ## Observation space
     `Box(low, high, (80,), float64)`: the lengths of the longitudinal springs in metres, in the paper's
@@ -52,7 +61,10 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     |----------------|----------------------------------|-------|------|------|
     | 4(j-1) + (i-1) | length of spring i, compartment j | 0.001 | 0.06 | m    |
 
-    The bounds are the limits of the model's domain, 0.05 and 3 times `arm.rest_length`.
+    The bounds are the limits of the model's domain, 0.05 and 3 times `arm.rest_length`. The lengths
+    differ from it by a few parts in a hundred. A linear readout takes them as they are; a network
+    wants them scaled: :class:`octoarm_env.wrappers.Strain` gives l / l_0 - 1 in percent, or let
+    `VecNormalize` of stable-baselines3 normalise them. Untreated, PPO learns next to nothing.
 
     ## Rewards
     `reward = reward_tracking + reward_action_change`, both in `info`:
@@ -71,8 +83,8 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
 
     ## Episode end
     *Termination*: the arm left the domain of the model; `info["failure"]` says which limit, which
-    compartment, when. The observation is then the last valid one, and `reward_tracking` is 0. In
-    the default environment neither 400,000 random steps nor bang-bang actions of 0.5 to 10 Hz do it.
+    compartment, when. The observation is then the last valid one, and `reward_tracking` is 0. With
+    the default body neither 400,000 random steps nor bang-bang actions of 0.5 to 10 Hz do it.
     *Truncation*: after 500 steps (`max_episode_steps` of `gym.make`).
 
     ## Information
@@ -89,10 +101,10 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | Parameter              | Default       | Description                                             |
     |------------------------|---------------|---------------------------------------------------------|
     | `target`               | `"quadratic"` | `"quadratic"`, `"van_der_pol"`, `"lissajous"` (Eqs. 27-29), or an array (T, 2) of one period in degrees, one row a physics step |
-    | `amplitude`            | `None`        | largest \|angle\| of the target in degrees; None: 20, or the array's own |
+    | `amplitude`            | `None`        | largest \|angle\| of the target in degrees; None: the paper's R, 90, 130 and 10 for the three names in this order, or the array's own |
     | `control_period`       | `0.01`        | seconds from action to action, a multiple of `arm.timestep` |
-    | `actuator`             | `"servo"`     | `"servo"` or `"direct"`                                  |
-    | `arm`                  | `None`        | the body: an `ArmParameters`, a name (`"nakajima2013"`, `"inertial"`), a mapping or a JSON file; its `base_coupling` says whether a turning base accelerates the arm or turns gravity only |
+    | `actuator`             | `"direct"`    | `"direct"` or `"servo"`                                  |
+    | `arm`                  | `None`        | the body: an `ArmParameters`, a name (`"nakajima2013"`, `"inertial"`), a mapping or a JSON file; None: `"nakajima2013"` |
     | `action_range`         | `None`        | degrees of base rotation at an action of 1; None: 1.3 × amplitude |
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
@@ -130,7 +142,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         target: TargetName | ArrayLike = "quadratic",
         amplitude: float | None = None,
         control_period: float = 0.01,
-        actuator: Literal["servo", "direct"] = "servo",
+        actuator: Literal["direct", "servo"] = "direct",
         arm: BodyLike | None = None,
         action_range: float | None = None,
         tracking_weight: float = 1.0,

@@ -15,7 +15,7 @@ from octoarm_env import _core
 
 #: The named bodies, each with all its fields, as the physics itself holds them.
 _PRESETS: dict[str, dict[str, Any]] = json.loads(_core.preset_parameters())
-_DEFAULTS: dict[str, Any] = json.loads(_core.default_parameters())
+_DEFAULTS = _PRESETS["nakajima2013"]
 
 #: Names that :meth:`ArmParameters.preset` takes.
 PRESETS = tuple(_PRESETS)

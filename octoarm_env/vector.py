@@ -98,7 +98,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         target: TargetName | ArrayLike | Sequence[TargetName | ArrayLike] = "quadratic",
         amplitude: float | Sequence[float | None] | Float | None = None,
         control_period: float = 0.01,
-        actuator: Literal["servo", "direct"] = "servo",
+        actuator: Literal["direct", "servo"] = "direct",
         arm: BodyLike | Sequence[BodyLike] | None = None,
         action_range: float | None = None,
         tracking_weight: float = 1.0,

@@ -92,7 +92,7 @@ def test_lengths_of_every_few_steps(stride: int) -> None:
 def test_an_arm_that_fails_stops_and_the_others_go_on() -> None:
     angles = drives(4)
     angles[2, 1200:] = np.where(np.arange(300) % 2, 90.0, -90.0)[:, None]
-    alone = [Arm() for _ in range(4)]
+    alone = [Arm(ArmParameters.preset("inertial")) for _ in range(4)]
     batch = ArmBatch(alone)
     run = batch.run(angles)
     with pytest.raises(DomainError) as caught:

@@ -99,9 +99,11 @@ def test_reset_begins_on_the_orbit_at_every_phase() -> None:
 
 def test_targets_and_arguments() -> None:
     env = OctoArmEnv()
-    assert env.amplitude == pytest.approx(20.0)
-    assert env.action_range == pytest.approx(26.0)
-    assert np.abs(env.orbit).max() == pytest.approx(20.0)
+    assert env.amplitude == pytest.approx(90.0)
+    assert env.action_range == pytest.approx(117.0)
+    assert np.abs(env.orbit).max() == pytest.approx(90.0)
+    assert OctoArmEnv(target="van_der_pol").amplitude == pytest.approx(130.0)
+    assert OctoArmEnv(target="lissajous").amplitude == pytest.approx(10.0)
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     circle = 12.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     env = OctoArmEnv(target=circle, action_range=30.0)
@@ -127,7 +129,7 @@ def test_targets_and_arguments() -> None:
         ({"amplitude": -1.0}, ValueError, r"amplitude = -1 .*\(0, 360\]"),
         ({"amplitude": "big"}, TypeError, "amplitude"),
         ({"amplitude": np.nan}, ValueError, "amplitude = nan"),
-        ({"amplitude": 300.0}, ValueError, "amplitude = 300.*left its domain"),
+        ({"amplitude": 300.0, "arm": "inertial"}, ValueError, "amplitude = 300.*left its domain"),
         ({"control_period": 0.0015}, ValueError, "control_period = 0.0015.*multiples"),
         ({"actuator": "magic"}, ValueError, "actuator = 'magic'"),
         ({"arm": {"timestep": 1.0}}, ValueError, "timestep = 1"),
@@ -243,7 +245,7 @@ def test_vector_environments_of_gymnasium(mode: str) -> None:
 
 
 def test_termination_reports_the_failure() -> None:
-    env = gym.make("OctoArm-v0", actuator="direct", control_period=0.001)
+    env = gym.make("OctoArm-v0", arm="inertial", amplitude=20.0, control_period=0.001)
     env.reset(seed=0)
     for step in range(1000):
         sign = 1.0 if step % 2 else -1.0

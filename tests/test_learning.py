@@ -10,19 +10,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-import octoarm_env  # noqa: F401, registers the environment
-
-
-def strains(env: gym.Env) -> gym.Env:
-    """Ten times the strain: numbers of the size that networks like."""
-    box = gym.spaces.Box(-np.inf, np.inf, env.observation_space.shape, np.float32)
-    return gym.wrappers.TransformObservation(
-        env, lambda lengths: (10.0 * (lengths / 0.02 - 1.0)).astype(np.float32), box
-    )
+from octoarm_env.wrappers import Strain
 
 
 def mean_return(model: PPO) -> float:
-    env = strains(gym.make("OctoArm-v0"))
+    env = Strain(gym.make("OctoArm-v0"))
     returns = []
     for episode in range(5):
         observation, _ = env.reset(seed=1000 + episode)
@@ -40,25 +32,24 @@ def mean_return(model: PPO) -> float:
 def test_ppo_learns(seed: int) -> None:
     torch.set_num_threads(1)
     envs = make_vec_env(
-        "OctoArm-v0",
+        lambda: Strain(gym.make("OctoArm-v0", max_episode_steps=100)),
         n_envs=8,
         seed=seed,
-        wrapper_class=strains,
-        env_kwargs={"render_mode": None},
     )
     model = PPO(
         "MlpPolicy",
         VecNormalize(envs, norm_obs=False, gamma=0.9),
-        n_steps=256,
+        n_steps=128,
         batch_size=256,
         gamma=0.9,
         learning_rate=1e-3,
+        clip_range=0.1,
         policy_kwargs={"log_std_init": -1.0, "net_arch": [128, 128]},
         seed=seed,
     )
     untrained = mean_return(model)
-    model.learn(50_000)
+    model.learn(30_000)
     trained = mean_return(model)
-    # Measured with seeds 0 to 3: from 3 untrained to 468, 289, 359, 179 of 500.
+    # Of 500; a longer training of seed 0 earns 495 after 50,000 steps.
     assert untrained < 25.0
     assert trained > untrained + 75.0

@@ -134,7 +134,7 @@ class TestFrames:
             (np.abs(now - before).max(axis=2) > 30).mean() for before, now in pairwise(frames)
         ]
         assert min(changed) > 0.0005
-        assert max(changed) < 0.02
+        assert max(changed) < 0.04
 
     def test_an_own_target_and_another_body(self):
         turns = np.linspace(0, 2 * np.pi, 500, endpoint=False)
@@ -213,15 +213,16 @@ class TestContents:
             check_stage(env, "random", 40, Camera(azimuth=azimuth, elevation=10.0))
 
     @pytest.mark.parametrize("target", LIMIT_CYCLES)
-    def test_the_tip_moves_by_a_centimetre(self, target):
-        """As the documentation says of pictures in which nothing is exaggerated."""
+    def test_the_arm_points_where_its_base_points(self, target):
+        """As the documentation says: the base turns the whole arm, which hardly bends."""
         env = make(target=target, render_mode=None)
         env.reset(seed=0)
-        ways = []
         for _ in range(400):
-            env.step(env.teacher_action())
-            ways.append(np.hypot(*env.arm_positions[-1, :2]))
-        assert 0.005 < max(ways) < 0.015
+            *_, info = env.step(env.teacher_action())
+            theta, phi = np.radians(info["base_angles"])
+            axis = [np.sin(phi), -np.sin(theta) * np.cos(phi), np.cos(theta) * np.cos(phi)]
+            tip = env.arm_positions[-1]
+            assert axis @ tip > np.cos(np.radians(15.0)) * np.linalg.norm(tip)
 
     def test_a_standing_arm_stands(self):
         for gravity, sign in ((9.81, 1), (-9.81, -1)):
@@ -375,8 +376,8 @@ class TestGymnasium:
 
     def test_after_leaving_the_domain(self):
         """The last valid pose stays in the picture."""
-        # Twenty millimetres a step: no arm bears that.
-        env = make(arm=ArmParameters(), actuator="direct", action_range=90.0, width=320, height=240)
+        # Ninety degrees there and back in 10 ms: no arm that is carried along bears that.
+        env = make(arm="inertial", amplitude=10.0, action_range=90.0, width=320, height=240)
         env.reset(seed=0)
         sign, terminated = 1.0, False
         for _ in range(50):

@@ -110,7 +110,7 @@ class TestCamera:
     @pytest.mark.parametrize("azimuth", [0.0, 60.0, 200.0])
     @pytest.mark.parametrize("lean", [(1.0, 0.0), (0.0, 1.0), (-0.5, 0.3), (0.0, 0.0)])
     def test_the_arm_leans_where_it_is_dragged(self, azimuth, lean):
-        env = make()
+        env = make(amplitude=20.0)
         renderer = make_renderer(env, camera=Camera(azimuth=azimuth))
         angles = renderer.tilt_towards(*lean)
         assert np.abs(angles).max() == pytest.approx(env.action_range * np.hypot(*lean))

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.experiments.cycle_settings import CYCLES
+from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.reservoir import Readout, orbit_distance
 from octoarm_agents.reservoir.closed_loop import (
@@ -36,7 +36,7 @@ from octoarm_agents.reservoir.closed_loop import (
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
-__all__ = ["BURSTS", "FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
+__all__ = ["FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
 
 Float = NDArray[np.float64]
 Advance = Callable[[str, int], None]
@@ -53,16 +53,6 @@ _CHUNK = 1_000
 _SHAPES = 8
 
 
-BURSTS = {
-    "quadratic": {"direct": 0.05, "servo": 10.0},
-    "van_der_pol": {"direct": 0.05, "servo": 10.0},
-    "lissajous": {"direct": 0.02, "servo": 0.3},
-}
-"""Half width of the noise from which each cycle shows its recovery, by actuator [degrees]. Through
-the servo it is the paper's own; renewed every millisecond on a base without inertia it is a huge
-load, and smaller: `octoarm reproduce limit-cycles` looks for the largest."""
-
-
 @dataclass(frozen=True)
 class DemoSettings:
     """What the demonstration does.
@@ -74,8 +64,8 @@ class DemoSettings:
         seed: of the burst's noise.
     """
 
-    teaching: Teaching = CYCLES["quadratic"]["direct"]
-    burst: float = BURSTS["quadratic"]["direct"]
+    teaching: Teaching = CYCLES["quadratic"]["weighted"]
+    burst: float = PAPER_BURSTS["quadratic"][0]
     steps: int = 20_000
     seed: int = 0
 
@@ -163,6 +153,7 @@ class DemoResult:
                 "actuator": self.settings.teaching.actuator,
                 "amplitude_degrees": self.settings.teaching.amplitude,
                 "noise_metres": self.settings.teaching.noise,
+                "noise_sampled": self.settings.teaching.sampled,
                 "disturbances_degrees": list(self.settings.teaching.disturbances),
                 "burst_degrees": self.settings.burst,
                 "burst_steps": [self.settings.burst_begin, self.settings.burst_end],

@@ -185,9 +185,11 @@ class Body:
         ends = 1.1 * self._pointed(np.concatenate((leaning, np.zeros((1, 2)))))
         skin = mesh.skin(at_rest).reshape(-1, 3)
         points = np.concatenate((skin, self._ring(), ends, self.path))
+        if self._parameters.base_coupling == "gravity":
+            points = np.concatenate((points, _turned(skin, action_range)))
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         radius = _ROOM * float(np.linalg.norm(points - middle, axis=1).max())
-        floor = float((np.concatenate((skin, ends)) @ up).min()) - 0.2 * radius
+        floor = float((points @ up).min()) - 0.2 * radius
         return Stage(up, ends[-1], self._rest[-1], middle, radius, floor)
 
     def _past(self, view: View, points: Float) -> Pieces:
@@ -245,3 +247,13 @@ def _fading(count: int) -> tuple[Float, list[Colour]]:
         (round(share * red), round(share * green), round(share * blue)) for share in shares.tolist()
     ]
     return shares, shades
+
+
+def _turned(points: Float, action_range: float) -> Float:
+    """Points (P, 3) turned by R_0 = R_x(θ) R_y(φ), for angles all over the action range."""
+    reach = np.radians(min(action_range, 180.0)) * np.linspace(-1.0, 1.0, 9)
+    theta, phi = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2).T[..., np.newaxis]
+    x, y, z = points.T
+    x, z = np.cos(phi) * x + np.sin(phi) * z, np.cos(phi) * z - np.sin(phi) * x
+    y, z = np.cos(theta) * y - np.sin(theta) * z, np.sin(theta) * y + np.cos(theta) * z
+    return np.stack((x, y, z), axis=-1).reshape(-1, 3)

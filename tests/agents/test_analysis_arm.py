@@ -125,7 +125,10 @@ def test_the_command_writes_file_and_figure(octoarm, tmp_path):
 
 
 def test_leaving_the_domain_is_reported(octoarm, tmp_path):
-    run = octoarm("analyse", "arm", "--out", tmp_path, "--range", 200, "--hold", 0.01)
+    run = octoarm(
+        *("analyse", "arm", "--arm", "inertial", "--out", tmp_path),
+        *("--range", 200, "--hold", 0.01),
+    )
     assert run.exit_code == 1
     assert "Ended during recording: the arm left its domain" in run.stderr
     assert "--range" in run.stderr
@@ -134,7 +137,7 @@ def test_leaving_the_domain_is_reported(octoarm, tmp_path):
 
 def test_a_sweep_is_the_same_with_more_processes_and_lists_what_failed():
     done = []
-    arguments = "range", (2.5, 200.0), ArmParameters(), SHORT
+    arguments = "range", (2.5, 200.0), ArmParameters.preset("inertial"), SHORT
     points = run_sweep(*arguments, jobs=1, advance=done.append)
     assert done == points
     assert points[0].failure is None
@@ -154,7 +157,18 @@ def test_a_factor_of_one_is_the_body_itself(survey, quantity):
 def test_the_sweep_command_writes_table_and_figure(octoarm, tmp_path):
     run = octoarm(
         *("analyse", "arm", "--out", tmp_path, "--sweep", "range", "--values", "3,200"),
-        *("--hold", 0.01, "--samples", 450, "--max-delay", 10, "--delays", "10,4"),
+        *(
+            "--arm",
+            "inertial",
+            "--hold",
+            0.01,
+            "--samples",
+            450,
+            "--max-delay",
+            10,
+            "--delays",
+            "10,4",
+        ),
         *("--washout", 20),
     )
     assert run.exit_code == 0, run.output
@@ -230,4 +244,8 @@ def test_default_values_surround_what_is_there():
 
 def test_too_much_is_a_domain_error():
     with pytest.raises(DomainError):
-        record_arm(ArmParameters(), Drive(amplitude=300.0, hold=0.01), np.array([1.0, -1.0, 1.0]))
+        record_arm(
+            ArmParameters.preset("inertial"),
+            Drive(amplitude=300.0, hold=0.01),
+            np.array([1.0, -1.0, 1.0]),
+        )

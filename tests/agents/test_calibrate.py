@@ -6,6 +6,12 @@ import math
 import numpy as np
 import pytest
 from octoarm_agents.calibration.body import measure_again
+from octoarm_agents.calibration.outcomes import (
+    PAPER_OUTCOMES,
+    count_contradictions,
+    describe_outcomes,
+    plain_outcomes,
+)
 from octoarm_agents.calibration.record import append_evaluations, read_evaluations
 from octoarm_agents.calibration.score import (
     FAILURE,
@@ -32,6 +38,8 @@ from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 # Stays in its domain in Task 1 and under a gentle teacher, whatever the defaults are.
 BODY = ArmParameters(
+    base_coupling="inertial",
+    longitudinal_mass_share=1.0,
     area_scale=48.0,
     plane_mass=0.044,
     plane_inertia=0.0,
@@ -60,9 +68,25 @@ def test_the_score_is_as_it_says():
     assert score(1.0, 1.0, 1.0) == 0.0
     assert score(math.e, 1.0, math.e**2) == pytest.approx(1 + 2 + 0.5 * 2)
     # Little is gained by what is better than the paper's.
-    assert score(1e-3, 1.0, math.e) == pytest.approx(-0.1 + 1 + 0.5)
-    assert score(1e-3, 1e-3, 0.99) == pytest.approx(-0.2 + math.log(0.99))
+    assert score(0.1, 1.0, math.e) == pytest.approx(-0.1 + 1 + 0.5)
+    assert score(0.2, 0.3, 0.99) == pytest.approx(-0.2 + math.log(0.99))
+    # More than ten times better is another body.
+    assert score(1e-2, 1.0, 1.0) == pytest.approx(-0.1 + math.log(10))
     assert score(1e300, 1e300, 1e300) == FAILURE
+
+
+def test_the_papers_training_makes_of_its_body_what_the_paper_reports():
+    outcomes = plain_outcomes(ArmParameters.preset("nakajima2013"), 1)
+    assert outcomes == {target: [outcome] for target, outcome in PAPER_OUTCOMES.items()}
+    assert count_contradictions(outcomes) == 0
+    assert count_contradictions(outcomes | {"lissajous": ["lost", "held"]}) == 0.5
+    assert describe_outcomes(outcomes).endswith("lissajous 1 of 1")
+    lost = plain_outcomes(BODY, 1)
+    assert lost["quadratic"] == ["lost"]
+    judged = evaluate_body(BODY, 500, noise_seeds=1)
+    assert judged["outcomes"] == lost
+    expected = score_ratios(judged["ratios"]) + 10 * count_contradictions(lost)
+    assert judged["score"] == pytest.approx(expected)
 
 
 def test_ratios_are_those_of_the_trials_of_table_2():
@@ -229,12 +253,13 @@ def test_a_search_does_not_depend_on_jobs_nor_on_others_in_its_file(tmp_path):
     assert read_evaluations(together) == other + alone
 
 
-def bowl(bodies, initial, amplitudes):
+def bowl(bodies, initial, amplitudes, noise_seeds):
     """Scores that know where they are lowest: light planes, much drag."""
     assert amplitudes == {"quadratic": 60.0}
     return [
         {
             "score": math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
+            "outcomes": None,
             "ratios": dict.fromkeys(TASKS, 1.0),
             "failure": None,
         }
@@ -264,7 +289,7 @@ def test_a_search_learns_from_its_scores_and_begins_again_when_it_has(tmp_path, 
 @pytest.mark.parametrize("text", ["not JSON\n", "[1]\n", '{"index": 0, "score": 1}\n'])
 def test_a_file_of_something_else_is_refused(tmp_path, text):
     file = tmp_path / "evaluations.jsonl"
-    fields = dict.fromkeys(("search", "index", "body", "score", "ratios", "failure"))
+    fields = dict.fromkeys(("search", "index", "body", "score", "outcomes", "ratios", "failure"))
     file.write_text(f"{json.dumps(fields)}\n{text}", encoding="utf-8")
     with pytest.raises(ValueError, match=r"evaluations.jsonl, line 2: not an evaluation"):
         search_bodies(spaces(), evaluations=1, file=file)
@@ -311,7 +336,7 @@ def test_calibrate_body(octoarm, tmp_path):
     arm = tmp_path / "arm.json"
     BODY.to_json(arm)
     command = ["calibrate", "body", "--arm", arm, "--evaluations", 3, "--trials", 2]
-    command += ["--amplitudes", "lissajous=5", "--seed", 4, "--lift-sign"]
+    command += ["--noise-seeds", 0, "--amplitudes", "lissajous=5", "--seed", 4, "--lift-sign"]
     out = tmp_path / "out"
     run = octoarm(*command, "both", "--jobs", 1, "--out", out)
     assert run.exit_code == 0, run.output
@@ -346,7 +371,8 @@ def test_calibrate_body(octoarm, tmp_path):
 def test_calibrate_body_tells_when_there_is_none(octoarm, tmp_path):
     run = octoarm(
         *("calibrate", "body", "--evaluations", 1, "--lift-sign", "+1", "--jobs", 1),
-        *("--amplitudes", "quadratic=360", "--out", tmp_path),
+        *("--amplitudes", "quadratic=360", "--noise-seeds", 0, "--arm", "inertial"),
+        *("--out", tmp_path),
     )
     assert run.exit_code == 1
     assert "No body stayed in its domain" in run.stderr
@@ -372,14 +398,16 @@ def test_every_open_parameter_is_moved_alone():
     for base in (BODY, BODY.replace(plane_inertia=1e-7, lift_scale=1.0, reference_area="planform")):
         changes = changes_of(base)
         assert changes[0].fields == {}
-        assert {each.parameter for each in changes[1:]} == set(OPEN_PARAMETERS)
+        moved = {each.parameter for each in changes[1:]}
+        assert moved == {*OPEN_PARAMETERS, "base_coupling"}
         for each in changes[1:]:
             body = base.replace(**each.fields)
             moved = {name for name, value in body.to_dict().items() if value != getattr(base, name)}
             with_area = {"area_scale"} if each.parameter == "reference_area" else set()
             assert moved == {each.parameter} | with_area
         assert len({(each.parameter, each.label) for each in changes}) == len(changes)
-    factors = [each.fields["area_scale"] / BODY.area_scale for each in changes_of(BODY)[1:5]]
+    areas = [each for each in changes_of(BODY) if each.parameter == "area_scale"]
+    factors = [each.fields["area_scale"] / BODY.area_scale for each in areas]
     assert factors == pytest.approx([0.5, 0.8, 1.25, 2.0])
 
 
@@ -399,6 +427,7 @@ def test_calibrate_sensitivity(octoarm, tmp_path, monkeypatch):
     module = "octoarm_agents.calibration.sensitivity"
     monkeypatch.setattr(f"{module}.changes_of", lambda base: expected)
     command = ["calibrate", "sensitivity", "--trials", 1, "--ranges", "360,5", "--jobs", 1]
+    command[2:2] = ["--noise-seeds", 0]
     run = octoarm(*command, "--out", tmp_path)
     assert run.exit_code == 0, run.output
     content = read(tmp_path / "sensitivity.json")
@@ -408,7 +437,7 @@ def test_calibrate_sensitivity(octoarm, tmp_path, monkeypatch):
     for each in changes:
         assert each["error"] is None or "equilibrium" in each["error"]
         if each["error"] is None:
-            assert set(each["largest_amplitudes"].values()) <= {None, 5}
+            assert set(each["largest_amplitudes"].values()) <= {None, 5, 360}
     text = (tmp_path / "sensitivity.md").read_text(encoding="utf-8")
     assert text in run.stdout
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -446,7 +475,9 @@ def test_calibrate_cycle(octoarm, tmp_path):
 
 
 def test_calibrate_cycle_tells_when_the_arm_cannot_follow(octoarm, tmp_path):
-    run = octoarm("calibrate", "cycle", "quadratic", "-R", 360, "--out", tmp_path)
+    run = octoarm(
+        "calibrate", "cycle", "quadratic", "-R", 360, "--arm", "inertial", "--out", tmp_path
+    )
     assert run.exit_code == 1
     assert "The arm cannot follow the teacher" in run.stderr
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,7 @@ from octoarm_agents.reservoir.closed_loop import (
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 # Told in full where loops depend on it, whatever the default body is.
-BODY = ArmParameters(area_scale=5.0, lift_scale=1.0, plane_mass=0.0)
+BODY = ArmParameters.preset("inertial").replace(area_scale=5.0)
 AMPLITUDE = 30.0
 QUADRATIC, LISSAJOUS = LIMIT_CYCLES["quadratic"], LIMIT_CYCLES["lissajous"]
 

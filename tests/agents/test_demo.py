@@ -26,12 +26,12 @@ def result():
 
 
 @pytest.mark.parametrize(
-    ("actuator", "bound", "disturbed"),
-    # Measured 0.00019 and 0.00002; the burst moves the outputs by 0.23 and 0.02 R.
-    [("direct", 0.001, 0.005), ("servo", 0.0002, 0.005)],
+    ("actuator", "options"),
+    # The paper's own training at the paper's R holds the cycle too.
+    [("direct", ()), ("servo", ()), ("direct", ("--plain",))],
 )
-def test_the_body_holds_the_cycle_and_recovers(octoarm, tmp_path, actuator, bound, disturbed):
-    run = octoarm("demo", "--out", tmp_path, "--actuator", actuator)
+def test_the_body_holds_the_cycle_and_recovers(octoarm, tmp_path, actuator, options):
+    run = octoarm("demo", "--out", tmp_path, "--actuator", actuator, *options)
     assert run.exit_code == 0, run.output
     assert "recovered" in run.stdout
 
@@ -39,10 +39,11 @@ def test_the_body_holds_the_cycle_and_recovers(octoarm, tmp_path, actuator, boun
     scores = content["scores"]
     assert scores["held"] is True
     assert scores["recovered"] is True
-    assert scores["before"]["mean_distance"] < bound
-    assert scores["after"]["mean_distance"] < bound
-    assert scores["burst"]["max_distance"] > disturbed
-    assert 0 < scores["recovery_time"] < 4.0
+    # Measured 0.00001 to 0.00025; noise of 10 degrees moves the outputs by up to 0.02 R.
+    assert scores["before"]["mean_distance"] < 0.0005
+    assert scores["after"]["mean_distance"] < 0.001
+    assert scores["burst"]["max_distance"] > 0.005
+    assert 0 <= scores["recovery_time"] < 4.0
     for window in (scores["before"], scores["after"]):
         assert window["period_ratio"] == pytest.approx(1.0, abs=1e-3)
         assert window["amplitude_ratio"] == pytest.approx(1.0, abs=0.01)
@@ -50,6 +51,7 @@ def test_the_body_holds_the_cycle_and_recovers(octoarm, tmp_path, actuator, boun
     assert content["failure"] is None
     assert content["closed_loop_steps_made"] == 20_000
     assert content["settings"]["actuator"] == actuator
+    assert content["settings"]["noise_sampled"] is bool(options)
     assert content["settings"]["seed"] == 0
     assert content["body"] == json.loads(octoarm_env.ArmParameters().to_json())
     assert content["versions"]["octoarm-env"] == octoarm_env.__version__
@@ -95,7 +97,7 @@ def test_the_shapes_are_arms_of_one_turn(result):
     np.testing.assert_allclose(struts, 0.02, rtol=0.3)
     tips = result.shapes[:, -1, :2]
     # The arm swings to both sides: half a turn later it is on the other side of the base.
-    np.testing.assert_allclose(tips[:4], -tips[4:], atol=0.01)
+    np.testing.assert_allclose(tips[:4], -tips[4:], atol=0.04)
 
 
 def test_without_a_burst_nothing_is_disturbed(octoarm, tmp_path):
@@ -109,13 +111,14 @@ def test_without_a_burst_nothing_is_disturbed(octoarm, tmp_path):
 @pytest.mark.parametrize(
     ("options", "stage", "advice"),
     [
-        (("--burst", 5), "disturbed", "--burst"),
-        (("--plain",), "alone", "calibrate"),
+        (("--target", "van_der_pol", "--range", 30, "--burst", 5), "disturbed", "--burst"),
+        (("--plain", "--range", 30), "alone", "calibrate"),
         (("--range", 150), "teaching", "--range"),
     ],
 )
 def test_leaving_the_domain_is_reported(octoarm, tmp_path, options, stage, advice):
-    run = octoarm("demo", "--out", tmp_path, "--steps", MINIMUM_STEPS, *options)
+    options += ("--arm", "inertial", "--steps", MINIMUM_STEPS)
+    run = octoarm("demo", "--out", tmp_path, *options)
     assert run.exit_code == 1
     assert "left its domain" in run.stderr
     assert advice in run.stderr

@@ -34,7 +34,7 @@ def swing(rod, seconds):
 
 def test_it_is_as_large_as_the_arm():
     assert has_elastica()
-    arm = ArmParameters()
+    arm = ArmParameters.preset("inertial")
     assert arm.compartments * arm.rest_length == pytest.approx(elastica_rod.LENGTH)
     assert (arm.base_radius + arm.tip_radius) / 2 == pytest.approx(elastica_rod.RADIUS, rel=0.01)
     assert arm.arm_density == elastica_rod.DENSITY

@@ -297,7 +297,7 @@ class TestShape:
 
 class TestCourse:
     @pytest.mark.parametrize(
-        "name", ["ppo/quadratic", "recurrent_ppo/van_der_pol", "hold/lissajous", "clock/quadratic"]
+        "name", ["ppo/quadratic", "readout_pinv/van_der_pol", "hold/lissajous", "clock/quadratic"]
     )
     @pytest.mark.parametrize(
         "disturbed", [{}, {"push": 12.0}, {"noise": 2e-5}, {"push": 8.0, "noise": 1e-5}]

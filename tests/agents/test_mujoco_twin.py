@@ -21,14 +21,15 @@ STEPS = 300
 # decimal places or so to other processors and versions of MuJoCo.
 LENGTH_TOLERANCE = 1e-13
 
-DRY = ArmParameters(
+# MuJoCo turns the base in the world.
+DRY = ArmParameters.preset("inertial").replace(
     water_density=0.0,
     arm_density=0.0,
     longitudinal_volume_gain=0.0,
     transverse_volume_gain=0.0,
 )
 BODIES = {
-    "default": DRY,
+    "inertial": DRY,
     "seven compartments, heavy planes": DRY.replace(
         compartments=7, plane_mass=0.01, plane_inertia=2e-6
     ),

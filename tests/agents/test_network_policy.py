@@ -27,10 +27,10 @@ from octoarm_env import ArmParameters
 SPRINGS = 80
 SETTINGS = {
     "target": "quadratic",
-    "amplitude": 20.0,
+    "amplitude": 90.0,
     "control_period": 0.01,
-    "actuator": "servo",
-    "action_range": 26.0,
+    "actuator": "direct",
+    "action_range": 117.0,
 }
 
 

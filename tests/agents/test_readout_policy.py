@@ -163,7 +163,7 @@ class TestFile:
             ({"target": "lissajous"}, "target is 'quadratic' in the file and 'lissajous' where"),
             ({"amplitude": 10.0}, "amplitude is .* and 10.0 where.*action_range is"),
             ({"control_period": 0.02}, "control_period is 0.01 in the file and 0.02 where"),
-            ({"actuator": "direct"}, "actuator is 'servo' in the file and 'direct' where"),
+            ({"actuator": "servo"}, "actuator is 'direct' in the file and 'servo' where"),
             ({"action_range": 22.0}, "environment: action_range is .* and 22.0 where"),
             ({"arm": OTHER_BODY}, f"body: arm_density is .* {OTHER_BODY.arm_density} where"),
         ],

@@ -175,7 +175,7 @@ def words(figures, *, seed, steps):
 def headstand(tmp_path_factory):
     """A body that stands on its base, too heavy for that: it leaves its domain within 3 s."""
     path = tmp_path_factory.mktemp("bodies") / "headstand.json"
-    ArmParameters(gravity=(0.0, 0.0, -30.0)).to_json(path)
+    ArmParameters(gravity=(0.0, 0.0, -70.0)).to_json(path)
     return path
 
 
@@ -491,8 +491,8 @@ class TestCourse:
         [
             ("readout_ridge/quadratic", {}),
             ("readout_ridge/lissajous", {"push": 15.0}),
-            ("recurrent_ppo/van_der_pol", {"noise": 2e-5}),
-            ("recurrent_ppo/quadratic", {"push": 8.0, "noise": 1e-5}),
+            ("ppo/van_der_pol", {"noise": 2e-5}),
+            ("ppo/quadratic", {"push": 8.0, "noise": 1e-5}),
         ],
     )
     @pytest.mark.parametrize("suffix", [".mp4", ".png"])
@@ -524,7 +524,7 @@ class TestCourse:
 
     def test_it_is_not_touched_by_a_bit(self, tmp_path):
         def make():
-            actor = find_actor("recurrent_ppo/quadratic", None)
+            actor = find_actor("ppo/quadratic", None)
             settings = {"push": 5.0, "noise": 1e-5, "steps": 125, "seed": 2}
             return Episode(actor.policy, actor.make_env(125), **settings)
 

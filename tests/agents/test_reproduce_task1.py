@@ -31,6 +31,9 @@ from PIL import Image
 
 from octoarm_env import Arm, ArmParameters, DomainError
 
+# Carried along by its base, slow and draggy: one that some motions take out of its domain.
+HEAVY = ArmParameters.preset("inertial").replace(area_scale=48.0, plane_mass=0.044, lift_scale=-1.0)
+
 METHODS = ("arm", "linear_regressor", "mean_predictor", "cubic", "delay2", "delay3", "esn80")
 
 
@@ -110,7 +113,7 @@ def test_the_readout_predicts_the_next_output_from_the_lengths_of_now(drive, len
 def test_arms_are_recorded_together_as_alone():
     drives = [Drive.make(kind, 0, trial) for kind in ("sines", "iid") for trial in range(2)]
     assert len({drive.initial for drive in drives}) == 2
-    bodies = [ArmParameters(area_scale=5.0 + index) for index in range(4)]
+    bodies = [HEAVY.replace(area_scale=5.0 + index) for index in range(4)]
     # The third leaves its domain.
     amplitudes = [60.0, 45.0, 200.0, 20.0]
     together = record_many([Arm(body) for body in bodies], drives, amplitudes)
@@ -147,12 +150,12 @@ def test_trials_together_are_the_trials_alone(tmp_path, function, more):
             ("sines", 30.0, 2),
         )
     ]
-    alone = run_trials(function, ArmParameters(), settings, folder=tmp_path / "alone")
+    alone = run_trials(function, HEAVY, settings, folder=tmp_path / "alone")
     assert [each["failure"] is None for each in alone] == [True, False, True, True]
     for jobs in (1, 2):
         folder = tmp_path / str(jobs)
         together = run_trials(
-            function, ArmParameters(), settings, folder=folder, record=record_trials, jobs=jobs
+            function, HEAVY, settings, folder=folder, record=record_trials, jobs=jobs
         )
         assert together == alone
 
@@ -188,8 +191,8 @@ def test_table2(octoarm, tmp_path):
         assert entry["arm"]["mean"] < entry["linear_regressor"]["mean"]
         quiet = content["sensor_noise"][0]
         assert quiet["sd_metres"] == 1e-8
-        # A hundredth of a micrometre changes next to nothing, a tenth of a millimetre a lot.
-        assert quiet[task]["mean"] == pytest.approx(entry["arm"]["mean"], rel=0.2)
+        # A hundredth of a micrometre costs something already, and never most of it.
+        assert 1 < quiet[task]["mean"] / entry["arm"]["mean"] < 5
     loud = content["sensor_noise"][-1]["second_order"]["mean"]
     assert loud > 2 * content["tasks"]["second_order"]["arm"]["mean"]
     # At half the range the default body survives the random input too.
@@ -199,7 +202,7 @@ def test_table2(octoarm, tmp_path):
 
 def test_a_trial_that_fails_is_reported(octoarm, tmp_path):
     options = ("--trials", 1, "--jobs", 1, "--range", 200, "--out", tmp_path)
-    run = octoarm("reproduce", "table2", *options)
+    run = octoarm("reproduce", "table2", *options, "--arm", "inertial")
     assert run.exit_code == 0, run.output
     assert "Trial 0 failed" in run.stdout
     content = read_result(tmp_path, "table2")
@@ -215,7 +218,7 @@ def test_a_trial_that_fails_is_reported(octoarm, tmp_path):
     # Undamped springs drive the arm out of its domain at any amplitude: no experiment, not even at
     # an amplitude of its own, has to let go of an arm for its 1,000,000 steps.
     body = tmp_path / "body.json"
-    ArmParameters().replace(longitudinal_damping=0.0, transverse_damping=0.0).to_json(body)
+    HEAVY.replace(longitudinal_damping=0.0, transverse_damping=0.0).to_json(body)
     run = octoarm("reproduce", "all", *options, "--arm", body)
     assert run.exit_code == 0, run.output
     assert all((tmp_path / f"{name}.json").exists() for name in EXPERIMENTS)

@@ -1,22 +1,20 @@
 """`octoarm reproduce`: the limit cycles, Figures 6 to 13 and the Floquet map, on slices of them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from octoarm_agents.experiments import bursts, figure11, figure12, figure13, floquet, limit_cycles
+from octoarm_agents.experiments import figure11, figure12, figure13, floquet, limit_cycles, task2
 from octoarm_agents.experiments.cycle_series import align_orbit, phase_shift
 from octoarm_agents.experiments.cycle_settings import (
-    ACTUATORS,
     CYCLES,
-    PAPER_AMPLITUDES,
     PAPER_BURSTS,
     PAPER_FINDINGS,
-    PAPER_NOISES,
+    TRAININGS,
 )
 from octoarm_agents.experiments.floquet_trials import leading_exponent
-from octoarm_agents.experiments.runner import Context
-from octoarm_agents.experiments.task2 import TaughtCycle, largest_recovered, paper_bursts
+from octoarm_agents.experiments.task2 import TaughtCycle, largest_recovered
 from octoarm_agents.experiments.task2_trials import (
     BURST_BEGIN,
     BURST_END,
@@ -31,24 +29,24 @@ from PIL import Image
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
 # Told in full where loops depend on it, whatever the default body is.
-BODY = ArmParameters(area_scale=5.0, lift_scale=1.0, plane_mass=0.0)
+BODY = ArmParameters.preset("inertial").replace(area_scale=5.0)
 
-# Plain trainings of a few steps, with which this body holds the quadratic cycle on a servo and the
-# Lissajous curve on a direct base, and not much else.
+# Trainings of a few steps, with which this body holds the Lissajous curve and not much else.
 SHORT = {"steps": 20_000, "washout": 4_000}
 QUADRATIC = {
-    "direct": Teaching("quadratic", 10.0, 1e-4, **SHORT),
-    "servo": Teaching("quadratic", 30.0, 2e-4, actuator="servo", **SHORT),
+    "plain": Teaching("quadratic", 10.0, 1e-4, sampled=True, **SHORT),
+    "weighted": Teaching("quadratic", 10.0, 1e-4, **SHORT),
 }
 LISSAJOUS = {
-    "direct": Teaching("lissajous", 20.0, 1e-4, **SHORT),
-    "servo": Teaching("lissajous", 20.0, 1e-4, actuator="servo", **SHORT),
+    "plain": Teaching("lissajous", 20.0, 1e-4, sampled=True, **SHORT),
+    "weighted": Teaching("lissajous", 20.0, 1e-4, **SHORT),
 }
 VAN_DER_POL = {
-    "direct": Teaching("van_der_pol", 20.0, 1e-4, **SHORT),
-    # More than the arm can follow.
-    "servo": Teaching("van_der_pol", 200.0, 1e-4, actuator="servo", **SHORT),
+    "plain": Teaching("van_der_pol", 20.0, 1e-4, sampled=True, **SHORT),
+    "weighted": Teaching("van_der_pol", 20.0, 1e-4, **SHORT),
 }
+# More than the arm can follow.
+BEYOND = Teaching("van_der_pol", 200.0, 1e-4, **SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +66,9 @@ def reproduce(octoarm, out, monkeypatch):
         ("lissajous", LISSAJOUS),
     ):
         monkeypatch.setitem(CYCLES, target, teachings)
-    for module in (bursts, limit_cycles, figure11):
-        monkeypatch.setattr(module, "DIRECT_BURSTS", (1e-4, 10.0))
-    monkeypatch.setattr(figure11, "LADDERS", {"servo": (0.1,), "direct": (1e-4, 10.0)})
+    for module in (limit_cycles, figure11):
+        monkeypatch.setattr(module, "BURSTS", (1e-4, 10.0))
+    monkeypatch.setattr(task2, "NOISE_SEEDS", 2)
 
     def run(name, *options):
         options = ("--jobs", 1, "--out", out, "--arm", out / "body.json", *options)
@@ -91,64 +89,61 @@ def reproduce(octoarm, out, monkeypatch):
 @pytest.fixture(scope="module")
 def lissajous():
     """The settings of a trial on the Lissajous curve, direct base."""
-    result = teach_cycle(BODY, teaching=vars(LISSAJOUS["direct"]))
-    return TaughtCycle(LISSAJOUS["direct"], result).settings
+    result = teach_cycle(BODY, teaching=vars(LISSAJOUS["weighted"]))
+    return TaughtCycle(LISSAJOUS["weighted"], result).settings
 
 
-def test_every_cycle_is_taught_to_every_base():
-    assert set(CYCLES) == set(PAPER_AMPLITUDES) == set(PAPER_NOISES) == set(PAPER_FINDINGS)
-    for target, teachings in CYCLES.items():
-        assert set(teachings) == set(ACTUATORS)
-        for actuator, teaching in teachings.items():
-            assert (teaching.target, teaching.actuator) == (target, actuator)
+def test_every_cycle_is_taught_in_both_ways_at_the_papers_amplitude():
+    amplitudes = {"quadratic": 90.0, "van_der_pol": 130.0, "lissajous": 10.0}
+    assert set(CYCLES) == set(PAPER_BURSTS) == set(PAPER_FINDINGS) == set(amplitudes)
+    for target, trainings in CYCLES.items():
+        assert tuple(trainings) == TRAININGS
+        for teaching in trainings.values():
+            assert (teaching.target, teaching.amplitude) == (target, amplitudes[target])
+            assert (teaching.actuator, teaching.steps) == ("direct", 70_000)
+        assert trainings["plain"].sampled
+        assert any(trainings["weighted"].disturbances)
+    noises = {target: trainings["plain"].noise for target, trainings in CYCLES.items()}
+    assert noises == {"quadratic": 1e-6, "van_der_pol": 1.5e-6, "lissajous": 1e-11}
 
 
 def test_the_limit_cycles(reproduce, monkeypatch):
-    for target in ("van_der_pol", "lissajous"):
+    for target in ("quadratic", "van_der_pol"):
         monkeypatch.delitem(CYCLES, target)
-    monkeypatch.setattr(limit_cycles, "PLAIN_NOISES", (1e-4,))
+    monkeypatch.setattr(limit_cycles, "NEIGHBOURS", (1e-6, 1e-4))
     content, printed = reproduce("limit-cycles", "--steps", 10_000, "--trials", 1)
-    assert "quadratic" in printed
+    assert "weighted" in printed
     assert content["steps"] == 10_000
     assert "--steps 10000" in content["command"]
 
-    (entry,) = content["cycles"].values()
-    assert entry["amplitude_deg"] == 10.0
-    assert entry["noise"] == 1e-4
-    assert entry["disturbances"] == [0, 0, 0, 0, 0, 0]
-    # It does not hold the cycle, and says why.
-    assert entry["survived"] is (entry["failure"] is None) is (entry["steps"] == 10_000)
-    assert entry["paper"] == PAPER_FINDINGS["quadratic"]
-    assert len(entry["exponents"]) >= 2
+    plain = content["plain"]["lissajous"]
+    assert plain["amplitude_deg"] == [20.0, 20.0]
+    assert plain["noise"] == [1e-4, 1e-4]
+    assert plain["held"] == [True, True]
+    # Each seed has a noise of its own.
+    assert len(set(plain["distance"])) == 2
+    assert all(0 < distance < 0.05 for distance in plain["distance"])
+    assert len(plain["series"]) == 2
+    assert plain["paper"] == PAPER_FINDINGS["lissajous"]
+    # The paper's own ν is not tried a second time; with this little noise all is lost.
+    (neighbour,) = plain["neighbours"]
+    assert neighbour == {"noise": 1e-6, "held": [False, False], "distance": [None, None]}
 
-    servo = entry["servo"]
-    assert servo["survived"] is True
-    assert servo["held"] is True
-    assert servo["steps"] == 10_000
-    assert 0 < servo["orbit_distance_mean"] < servo["orbit_distance_max"] < 0.1
-    assert servo["period_ratio"] == pytest.approx(1.0, abs=0.01)
-    assert len(servo["series"]) == 2
-    assert servo["series"][1]["step"][-1] < 10_000
+    weighted = content["weighted"]["lissajous"]
+    assert weighted["amplitude_deg"] == 20.0
+    assert weighted["noise"] == 1e-4
+    assert weighted["disturbances"] == [0, 0, 0, 0, 0, 0]
+    assert (weighted["steps"], weighted["survived"], weighted["held"]) == (10_000, True, True)
+    assert 0 < weighted["distance"] < weighted["distance_max"] < 0.1
+    assert weighted["period_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert len(weighted["exponents"]) >= 2
+    assert weighted["series"][1]["step"][-1] < 10_000
 
-    assert set(entry["recovered"]) == set(entry["recovered_fraction"]) == {"10", "5", "1"}
-    assert entry["recovered"]["1"] is True
-    for burst, recovered in entry["recovered"].items():
-        assert recovered is (entry["recovered_fraction"][burst] == 1)
-    assert set(entry["direct_recovered_fraction"]) == {"0.0001", "10"}
-    assert entry["direct_recovered_fraction"]["10"] == 0
-    assert entry["largest_recovered_direct"] in (None, 1e-4)
-
-    plain = entry["paper_training"]
-    assert [each["noise"] for each in plain["tried"]] == [PAPER_NOISES["quadratic"], 1e-4]
-    assert not any(any(each["disturbances"]) for each in plain["tried"])
-    assert plain["noise"] in (PAPER_NOISES["quadratic"], 1e-4)
-
-    for actuator, paper in content["paper_amplitudes"]["quadratic"].items():
-        assert actuator in ACTUATORS
-        assert paper["amplitude_deg"] == PAPER_AMPLITUDES["quadratic"]
-        assert paper["follows_teacher"] is (paper["failure"] is None)
-        assert paper["paper_training"]["noise"] == PAPER_NOISES["quadratic"]
-        assert not any(paper["paper_training"]["disturbances"])
+    recovery = content["recovery"]["lissajous"]
+    assert set(recovery) == set(TRAININGS)
+    for entry in recovery.values():
+        assert entry["recovered_fraction"] == {"0.0001": 1, "10": 0}
+        assert entry["largest_recovered"] == 1e-4
 
 
 def test_too_few_steps_are_refused(octoarm, out):
@@ -185,50 +180,52 @@ def test_an_error_within_is_shown(octoarm, out, monkeypatch):
     assert "cannot reshape" in str(run.exception)
 
 
-def test_figure9(reproduce):
+def test_figure9(reproduce, monkeypatch):
+    monkeypatch.setitem(PAPER_BURSTS, "quadratic", (1e-2, 1e-3, 1e-4))
     content, printed = reproduce("figure9", "--trials", 2)
-    assert "servo" in printed
-    servo, direct = content["bases"]["servo"], content["bases"]["direct"]
-    assert [burst["burst_deg"] for burst in servo["bursts"]] == [10, 5, 1]
-    np.testing.assert_allclose(
-        [burst["burst_deg"] for burst in direct["bursts"]], [1e-4, 5e-5, 1e-5]
-    )
-    for burst in servo["bursts"] + direct["bursts"]:
-        assert sum(burst["outcomes"].values()) == 2
-        assert burst["outcomes"].get("recovered", 0) == 2 * burst["recovered_fraction"]
-        series = burst["shown"]["series"]
-        assert len(series["step"]) == len(series["outputs_deg"][0]) == len(series["target_deg"][1])
-    smallest = servo["bursts"][-1]
+    assert "weighted" in printed
+    assert set(content["trainings"]) == set(TRAININGS)
+    for entry in content["trainings"].values():
+        assert [burst["burst_deg"] for burst in entry["bursts"]] == [1e-2, 1e-3, 1e-4]
+        for burst in entry["bursts"]:
+            assert sum(burst["outcomes"].values()) == 2
+            assert burst["outcomes"].get("recovered", 0) == 2 * burst["recovered_fraction"]
+            series = burst["shown"]["series"]
+            steps = len(series["step"])
+            assert steps == len(series["outputs_deg"][0]) == len(series["target_deg"][1])
+
+
+def test_figure10_and_figure11(reproduce, monkeypatch):
+    monkeypatch.setitem(PAPER_BURSTS, "lissajous", (1e-3, 1e-4, 1e-5))
+    content, _ = reproduce("figure10", "--trials", 1)
+    (*_, smallest) = content["trainings"]["plain"]["bursts"]
     assert smallest["recovered"] is True
     assert 0 <= smallest["median_recovery_seconds"] < 20
     assert 0 <= smallest["median_phase_shift_turns"] < 0.5
 
-
-def test_figure10_and_figure11(reproduce):
-    content, _ = reproduce("figure10", "--trials", 1)
-    assert [b["burst_deg"] for b in content["bases"]["servo"]["bursts"]] == [0.3, 0.15, 0.1]
-    assert content["bases"]["direct"]["bursts"][0]["recovered"] is True
-
     content, printed = reproduce("figure11", "--trials", 1)
     assert "left the domain" in printed
-    small, large = content["bases"]["direct"]["bursts"]
+    small, large = content["trainings"]["plain"]["bursts"]
     assert (small["lost_fraction"], small["lost_trials"]) == (0, [])
     assert (large["lost_fraction"], large["lost_trials"]) == (1, [0])
     example = content["example"]
-    assert example["trial"] == 0
-    bases = content["bases"][example["actuator"]]["bursts"]
-    (shown,) = [burst for burst in bases if burst["burst_deg"] == example["burst_deg"]]
-    assert shown["lost_trials"] == [0]
+    assert (example["training"], example["trial"], example["burst_deg"]) == ("plain", 0, 10.0)
 
 
 def test_figure12(reproduce):
-    content, _ = reproduce("figure12")
+    content, printed = reproduce("figure12")
     assert set(content["cycles"]) == set(CYCLES)
-    for entry in content["cycles"].values():
-        for output in entry["outputs"]:
-            assert np.shape(output["weights"]) == (20, 4)
-            assert -1 <= output["correlation_of_pairs"] <= 1
-            assert 0 < output["part_near_base"] < 1
+    for pair in content["cycles"].values():
+        assert [len(pair[training]["readouts"]) for training in TRAININGS] == [2, 1]
+        for readout in pair["plain"]["readouts"]:
+            assert -1 <= readout["correlation_of_outputs"] <= 1
+            for output in readout["outputs"]:
+                assert np.shape(output["weights"]) == (20, 4)
+                assert -1 <= output["correlation_of_pairs"] <= 1
+                assert 0 < output["part_near_base"] < 1
+    assert set(content["confirmed"]["plain"]) == set(content["paper"])
+    assert all(len(each) == 2 for each in content["confirmed"]["plain"].values())
+    assert "of 2" in printed
 
 
 def test_figure13(reproduce, monkeypatch):
@@ -240,9 +237,10 @@ def test_figure13(reproduce, monkeypatch):
     small, large = entry["nudges"]
     for measure in figure13.MEASURES:
         assert 0 < small["mean"][measure] < large["mean"][measure]
-    assert np.shape(entry["dw"]["springs"]) == (20, 4)
-    means = np.mean(entry["dw"]["springs"], axis=1)
-    np.testing.assert_allclose(entry["dw"]["compartments"], means)
+    assert len(entry["dw"]) == 2
+    for sizes in entry["dw"]:
+        assert np.shape(sizes["springs"]) == (20, 4)
+        np.testing.assert_allclose(sizes["compartments"], np.mean(sizes["springs"], axis=1))
 
 
 def test_floquet(reproduce, monkeypatch):
@@ -281,20 +279,19 @@ def test_floquet(reproduce, monkeypatch):
 def test_a_body_that_cannot_follow_is_reported(reproduce, monkeypatch):
     for target in ("quadratic", "lissajous"):
         monkeypatch.delitem(CYCLES, target)
-    monkeypatch.setitem(CYCLES, "van_der_pol", VAN_DER_POL | {"direct": VAN_DER_POL["servo"]})
-    monkeypatch.setattr(limit_cycles, "PLAIN_NOISES", (1e-4,))
-    monkeypatch.setattr(limit_cycles, "paper_bursts", lambda context, cycle: (1.0,))
+    beyond = {"plain": replace(BEYOND, sampled=True), "weighted": BEYOND}
+    monkeypatch.setitem(CYCLES, "van_der_pol", beyond)
+    monkeypatch.setattr(limit_cycles, "NEIGHBOURS", ())
     content, printed = reproduce("limit-cycles", "--steps", 10_000, "--trials", 1)
     assert "left its domain" in printed
-    entry = content["cycles"]["van_der_pol"]
-    for each in (entry, entry["servo"]):
-        assert each["teaching_failure"]["reason"] == "domain"
-        assert each["steps"] == 0
-        assert each["survived"] is False
-        assert each["held"] is False
-        assert each["orbit_distance_mean"] is None
-    assert entry["recovered"] == {}
-    assert entry["largest_recovered_direct"] is None
+    weighted, plain = content["weighted"]["van_der_pol"], content["plain"]["van_der_pol"]
+    assert weighted["teaching_failure"]["reason"] == "domain"
+    assert (weighted["steps"], weighted["survived"], weighted["held"]) == (0, False, False)
+    assert weighted["distance"] is None
+    assert plain["teaching_failure"]["reason"] == "domain"
+    assert (plain["held"], plain["distance"]) == ([False, False], [None, None])
+    for entry in content["recovery"]["van_der_pol"].values():
+        assert entry == {"recovered_fraction": {}, "largest_recovered": None}
 
 
 class TestTrials:
@@ -353,21 +350,6 @@ class TestTrials:
             np.array(large["outputs"]) / small["outputs"], [4.0, 4.0], rtol=0.05
         )
         assert large["springs"] / small["springs"] == pytest.approx(4.0, rel=0.05)
-
-
-def test_the_papers_noise_is_scaled_for_van_der_pol(monkeypatch, tmp_path):
-    monkeypatch.setitem(CYCLES, "quadratic", QUADRATIC)
-
-    def of(teaching, amplitude=None):
-        context = Context(tmp_path, amplitude=amplitude)
-        return paper_bursts(context, TaughtCycle(teaching, {"failure": None}))
-
-    assert of(QUADRATIC["servo"]) == PAPER_BURSTS["quadratic"]
-    assert of(LISSAJOUS["servo"]) == PAPER_BURSTS["lissajous"]
-    # 200 and 30 degrees through the servo.
-    np.testing.assert_allclose(of(VAN_DER_POL["servo"]), np.array([10.0, 5.0, 1.0]) * 200 / 30)
-    # With another R for all cycles, they are in proportion to that.
-    np.testing.assert_allclose(of(VAN_DER_POL["servo"], amplitude=200.0), [10.0, 5.0, 1.0])
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,9 @@ def test_noise_reaches_the_agent_alone(readout: ReadoutPolicy) -> None:
 
 def test_a_failed_arm_counts_until_it_fails() -> None:
     # Thrown about by its base, the arm leaves its domain.
-    parameters, settings = inspect_env(gym.make("OctoArm-v0", action_range=180.0))
+    parameters, settings = inspect_env(
+        gym.make("OctoArm-v0", arm="inertial", actuator="servo", amplitude=20.0, action_range=180.0)
+    )
     envs = make_vector_env(8, parameters, settings, steps=300, threads=1)
 
     class Flail(HoldPolicy):

@@ -129,7 +129,12 @@ def bang_bang(steps, seed):
     [
         ({}, random_actions(40, 1), 0),
         (
-            {"actuator": "direct", "control_period": 0.001, "max_episode_steps": 900},
+            {
+                "arm": "inertial",
+                "amplitude": 20.0,
+                "control_period": 0.001,
+                "max_episode_steps": 900,
+            },
             bang_bang(2000, 0),
             4,
         ),
@@ -252,9 +257,9 @@ def test_options_that_differ_are_refused(envs):
 
 
 def test_attributes(envs):
-    assert envs.get_attr("action_range") == [26.0] * COUNT
-    assert envs.get_attr("amplitude", indices=[2, 0]) == [20.0, 20.0]
-    assert envs.get_attr("amplitude", indices=1) == [20.0]
+    assert envs.get_attr("action_range") == [117.0] * COUNT
+    assert envs.get_attr("amplitude", indices=[2, 0]) == [90.0, 90.0]
+    assert envs.get_attr("amplitude", indices=1) == [90.0]
     assert envs.has_attr("orbit")
     assert not envs.has_attr("fins")
     envs.set_attr("label", "all")
@@ -342,7 +347,7 @@ def test_the_vector_environment_may_be_wrapped():
     envs.reset()
     _, rewards, _, _ = envs.step(np.zeros((COUNT, 2), np.float32))
     assert rewards.max() <= 0.5
-    assert envs.get_attr("amplitude") == [20.0] * COUNT
+    assert envs.get_attr("amplitude") == [90.0] * COUNT
 
 
 def test_made_natively_and_seeded(monkeypatch):

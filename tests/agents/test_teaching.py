@@ -14,7 +14,7 @@ from octoarm_agents.reservoir.tuning import tune
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 # Told in full where loops depend on it, whatever the default body is.
-BODY = ArmParameters(area_scale=5.0, lift_scale=1.0, plane_mass=0.0)
+BODY = ArmParameters.preset("inertial").replace(area_scale=5.0)
 
 SOME = (1e-3, 2e-3, 5e-3, 5e-3, 2e-3, 1e-2)
 
@@ -66,6 +66,19 @@ class TestTeaching:
         # The triangular factor of the rows loses some of 16 digits.
         np.testing.assert_allclose(weights, exact, rtol=0, atol=1e-8 * np.abs(exact).max())
         assert error == pytest.approx(taught.readout.training_error_, rel=1e-6)
+
+    def test_sampled_noise_is_the_papers_own_training(self, lesson):
+        taught = lesson.teach(replace(GOOD, sampled=True, seed=3))
+        drawn = np.random.default_rng(3).uniform(-GOOD.noise, GOOD.noise, (16_000, 80))
+        rows = lesson.run.lengths[GOOD.washout :] + drawn
+        expected, *_ = np.linalg.lstsq(rows, lesson.run.signal[1 + GOOD.washout :])
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(taught.readout.weights_, expected, rtol=0, atol=1e-9 * scale)
+        # Its expectation is the ridge: the same within a few parts in a hundred.
+        ridge = lesson.teach(GOOD).readout.weights_
+        np.testing.assert_allclose(taught.readout.weights_, ridge, rtol=0, atol=0.1 * scale)
+        with pytest.raises(ValueError, match="expected zeros where the noise is sampled"):
+            replace(GOOD, sampled=True, disturbances=SOME)
 
     def test_no_noise_is_the_pseudo_inverse(self, lesson):
         taught = lesson.teach(replace(GOOD, noise=0.0))

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from octoarm_agents.comparison.agents import TRAINED
+from octoarm_agents.comparison.agents import READOUTS
 from octoarm_agents.environment import TARGETS
 from octoarm_agents.policies import load_policy, load_trained, trained_agents
 from octoarm_agents.policies.evaluation import evaluate_policy
@@ -20,7 +20,7 @@ AGENTS: list[dict[str, Any]] = LISTED["agents"]
 
 
 def test_all_are_there() -> None:
-    expected = set(itertools.product(TRAINED, TARGETS))
+    expected = set(itertools.product((*READOUTS, "ppo"), TARGETS))
     assert set(trained_agents()) == expected
     assert {(each["agent"], each["target"]) for each in AGENTS} == expected
     assert max(path.stat().st_size for path in trained_agents().values()) < 300_000

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -56,10 +57,10 @@ def make_recurrent():
     random = np.random.default_rng(5)
     settings = {
         "target": "quadratic",
-        "amplitude": 20.0,
+        "amplitude": 90.0,
         "control_period": 0.01,
-        "actuator": "servo",
-        "action_range": 26.0,
+        "actuator": "direct",
+        "action_range": 117.0,
     }
 
     def draw(*shape):
@@ -235,15 +236,15 @@ class TestPortrait:
 
 
 class TestArm:
-    def test_base_on_top_and_tip_below(self, scene_and_moment):
+    def test_base_and_arm_are_where_they_should_be(self, scene_and_moment):
         scene, moment = scene_and_moment
         canvas = side_view(scene, moment, 42, 18)
         lines = plain(canvas.lines())
-        assert "┳" in lines[0]
+        row, _ = canvas.cell(0.0, 0.0)
+        assert "┳" in lines[row]
         for x, _, depth in moment.arm[2:]:
             row, column = canvas.cell(x, depth)
             assert lines[row][column] != " "
-        assert canvas.cell(*moment.arm[-1, [0, 2]])[0] >= 16
 
     def test_the_strip(self):
         strains = np.zeros(80)
@@ -308,11 +309,12 @@ class TestFrame:
             assert part in text
         for part in ("1.19 of 2.00 s", "of 119 (", f"{moment.error:.2f}°", "off the orbit", "1×"):
             assert part in text
-        assert "-15% ▁▂▃▄▅▆▇ +15%" in text
+        assert re.search(r"-(\d+)% ▁▂▃▄▅▆▇ \+\1%", text)
 
     def test_the_least_that_a_small_one_shows(self, scene_and_moment):
         text = draw_frame(*scene_and_moment, 40, 12).plain
-        for part in ("●", "○", "┳", "time 1.19 of 2.00 s", "error", "orbit", "PUSHED"):
+        assert "◉" in text or ("●" in text and "○" in text)
+        for part in ("┳", "time 1.19 of 2.00 s", "error", "orbit", "PUSHED"):
             assert part in text
 
     @pytest.mark.parametrize("size", [(0, 10), (10, 0)])

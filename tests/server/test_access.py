@@ -419,7 +419,7 @@ def test_worlds_of_the_server_are_limited() -> None:
         first.destroy(names[1])
         for _ in range(5):
             assert refusal(first, amplitude=-1.0).code == INVALID_ARGUMENT
-            assert refusal(first, amplitude=359.0).code == INVALID_ARGUMENT
+            assert refusal(first, arm="inertial", amplitude=359.0).code == INVALID_ARGUMENT
         first.create()
 
 

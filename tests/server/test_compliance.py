@@ -140,7 +140,9 @@ class TestAdaptor:
     def test_the_end_of_an_arm_that_fails(self, stream: connection.Connection) -> None:
         # A weak arm, thrown to and fro.
         settings = {
-            "amplitude": 60.0,
+            "arm": "inertial",
+            "actuator": "servo",
+            "amplitude": 30.0,
             "action_range": 180.0,
             "max_episode_steps": -1,
             "seed": 0,

@@ -188,10 +188,8 @@ LANES = 8
 
 
 def dry_body() -> ArmParameters:
-    """The body without water and volume forces, which MuJoCo's twin lacks."""
-    # Without water nothing brakes heavy planes: they would swing themselves out of the domain.
-    return ArmParameters(
-        plane_mass=0.0,
+    """The body that the base carries along, without water and volume forces: the twin's."""
+    return ArmParameters.preset("inertial").replace(
         water_density=0.0,
         arm_density=0.0,
         longitudinal_volume_gain=0.0,

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 
 from octoarm_agents.calibration.body_figure import draw_calibration
+from octoarm_agents.calibration.outcomes import CLOSED_STEPS
 from octoarm_agents.calibration.score import (
     FAILURE,
     LARGEST_GAIN,
+    OUTCOME_WEIGHT,
+    SMALLEST_RATIO,
     TEACHER_STEPS,
     WORST_WEIGHT,
     initial_steps,
@@ -28,7 +31,9 @@ from octoarm_env import Arm, ArmParameters, DomainError
 __all__ = ["SCORE", "calibrate_body", "measure_again"]
 
 SCORE = (
-    f"Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task),"
+    f"{OUTCOME_WEIGHT:g} (limit cycles that end otherwise than in the paper)"
+    f" + Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task)"
+    f" + Σ max(0, ln({SMALLEST_RATIO:g} / r)),"
     f" r = mean squared error / that of Table 2, Task 1 at R = {RANGE:g} degrees;"
     f" from {FAILURE:g} on: the body left its domain"
 )
@@ -43,6 +48,7 @@ def calibrate_body(
     evaluations: int,
     out: Path,
     amplitudes: Mapping[str, float] | None = None,
+    noise_seeds: int = 0,
     trials: int = 5,
     seed: int = 0,
     jobs: int = 1,
@@ -59,6 +65,7 @@ def calibrate_body(
         evaluations: bodies tried in each space.
         out: folder, which must exist.
         amplitudes: R by cycle that the body must be able to follow on a direct base [degrees].
+        noise_seeds: trainings of each limit cycle that every body is judged by; 0: none.
         trials: T_ini with which the best body is measured again.
         seed: of the search.
         jobs: processes.
@@ -79,6 +86,7 @@ def calibrate_body(
         file=out / "evaluations.jsonl",
         initial=_INITIAL,
         amplitudes=amplitudes,
+        noise_seeds=noise_seeds,
         seed=seed,
         jobs=jobs,
         progress=progress,
@@ -97,6 +105,8 @@ def calibrate_body(
             "range_degrees": RANGE,
             "amplitudes_degrees": dict(amplitudes or {}),
             "teacher_steps": TEACHER_STEPS if amplitudes else None,
+            "noise_seeds": noise_seeds,
+            "closed_steps": CLOSED_STEPS if noise_seeds else None,
             "bounds": {
                 name: {"low": number.low, "high": number.high, "unit": number.unit}
                 for name, number in OPEN_NUMBERS.items()
@@ -153,6 +163,7 @@ def _summarise(space: SearchSpace, tried: Sequence[Mapping[str, Any]]) -> dict[s
         "evaluations": len(mine),
         "failures": sum(evaluation["failure"] is not None for evaluation in mine),
         "best_score": best["score"],
+        "best_outcomes": best["outcomes"],
         "best_ratios": best["ratios"] if best["failure"] is None else None,
         "best_body": best["body"],
     }

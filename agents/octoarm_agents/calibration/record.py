@@ -11,7 +11,7 @@ from octoarm_agents.files import write_atomically
 
 __all__ = ["append_evaluations", "read_evaluations"]
 
-_FIELDS = {"search", "index", "body", "score", "ratios", "failure"}
+_FIELDS = {"search", "index", "body", "score", "outcomes", "ratios", "failure"}
 
 
 def read_evaluations(path: Path) -> list[dict[str, Any]]:

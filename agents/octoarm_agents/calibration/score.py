@@ -1,12 +1,15 @@
 """How well a body does what the paper reports: one number, small for a good body.
 
-With r the ratios of the body's mean squared errors to those of Table 2 (Task 1 at R = 60),
+With r the ratios of the body's mean squared errors to those of Table 2 (Task 1 at R = 60), and c
+the limit cycles of which the paper's own training makes something else than the paper reports (an
+outcome that depends on the noise seed counts in part),
 
-    score = Σ max(ln r, -0.1) + 0.5 max(0, ln r_worst).
+    score = 10 c + Σ max(ln r, -0.1) + 0.5 max(0, ln r_worst) + Σ max(0, ln(0.1 / r)).
 
-A task that is done better than by the paper's body gains almost nothing, so that no task pays for
-another; the second term weighs the worst one more. A body that cannot be used at all scores worse
-than any that can, by how far it got, so that a search finds its way out of there too.
+The outcomes come first. A task that is done better than by the paper's body gains almost nothing,
+so that no task pays for another; the third term weighs the worst one more; one that is done more
+than ten times better is that of another body, and costs. A body that cannot be used at all scores
+worse than any that can, by how far it got, so that a search finds its way out of there too.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.calibration.outcomes import count_contradictions, plain_outcomes
 from octoarm_agents.experiments.task1 import (
     INITIAL_STEPS,
     PAPER,
@@ -39,7 +43,11 @@ from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [
     "FAILURE",
+    "LARGEST_GAIN",
+    "OUTCOME_WEIGHT",
+    "SMALLEST_RATIO",
     "TEACHER_STEPS",
+    "WORST_WEIGHT",
     "evaluate_bodies",
     "evaluate_body",
     "follow_teachers",
@@ -52,9 +60,13 @@ FAILURE = 50.0
 """A score from here on is that of a body that left its domain; ln r sums up to 10 where the readout
 gives no more than the linear regressor of Table 2."""
 
+OUTCOME_WEIGHT = 10.0
 LARGEST_GAIN = 0.1
 WORST_WEIGHT = 0.5
-"""Of the score: the largest gain from an error below the paper's, the weight of the worst task."""
+SMALLEST_RATIO = 0.1
+"""Of the score: the weight of a limit cycle that ends otherwise than in the paper, the largest gain
+from an error below the paper's, the weight of the worst task, the ratio below which an error is too
+small."""
 
 TEACHER_STEPS = 10_000
 """Steps for which a teacher forces the resting arm: onto the cycle, and several turns of it."""
@@ -116,7 +128,8 @@ def score_ratios(ratios: Mapping[str, float]) -> float:
     """The score of a body that stayed in its domain; see above, at most `FAILURE`."""
     logarithms = [math.log(ratio) for ratio in ratios.values()]
     gains = sum(max(value, -LARGEST_GAIN) for value in logarithms)
-    return min(gains + WORST_WEIGHT * max(0.0, *logarithms), FAILURE)
+    too_good = sum(max(0.0, math.log(SMALLEST_RATIO) - value) for value in logarithms)
+    return min(gains + WORST_WEIGHT * max(0.0, *logarithms) + too_good, FAILURE)
 
 
 def follow_teachers(
@@ -146,8 +159,9 @@ def evaluate_bodies(
     bodies: Sequence[ArmParameters],
     initial: int,
     amplitudes: Mapping[str, float] | None = None,
+    noise_seeds: int = 0,
 ) -> list[dict[str, Any]]:
-    """Judge bodies by Task 1, and by whether they can be taught some cycles at all.
+    """Judge bodies by the paper's training, by Task 1, and by whether they can be taught at all.
 
     Together they take less time than one by one, and memory for the spring lengths of all: 11 MB a
     body of 20 compartments. No body's result depends on the others.
@@ -156,9 +170,11 @@ def evaluate_bodies(
         bodies: to judge.
         initial: T_ini.
         amplitudes: R by cycle, which a body must be able to follow on a direct base [degrees].
+        noise_seeds: trainings of each limit cycle, see `plain_outcomes`; 0: none.
 
     Returns:
-        For each body ``score``; ``ratios`` by task, None if the arm left its domain in Task 1;
+        For each body ``score``; ``outcomes``, see `plain_outcomes`, None without noise seeds or
+        after a failure; ``ratios`` by task, None if the arm left its domain in Task 1;
         ``failure``: None, or where (``stage``: ``"rest"``, ``"task1"`` or a cycle) and after which
         ``part`` of it. The score of a failure is `FAILURE` plus the stages that were not completed.
     """
@@ -189,16 +205,27 @@ def evaluate_bodies(
                 results[index] = _failed(ratios[index], target, part, len(cycles) - stage)
                 del arms[index]
     for index in arms:
-        score = score_ratios(ratios[index])
-        results[index] = {"score": score, "ratios": ratios[index], "failure": None}
+        score, outcomes = score_ratios(ratios[index]), None
+        if noise_seeds:
+            outcomes = plain_outcomes(bodies[index], noise_seeds)
+            score = min(score + OUTCOME_WEIGHT * count_contradictions(outcomes), FAILURE)
+        results[index] = {
+            "score": score,
+            "outcomes": outcomes,
+            "ratios": ratios[index],
+            "failure": None,
+        }
     return [results[index] for index in range(len(bodies))]
 
 
 def evaluate_body(
-    parameters: ArmParameters, initial: int, amplitudes: Mapping[str, float] | None = None
+    parameters: ArmParameters,
+    initial: int,
+    amplitudes: Mapping[str, float] | None = None,
+    noise_seeds: int = 0,
 ) -> dict[str, Any]:
     """Judge one body, see `evaluate_bodies`."""
-    return evaluate_bodies([parameters], initial, amplitudes)[0]
+    return evaluate_bodies([parameters], initial, amplitudes, noise_seeds)[0]
 
 
 def _failed(
@@ -206,6 +233,7 @@ def _failed(
 ) -> dict[str, Any]:
     return {
         "score": FAILURE + remaining - part,
+        "outcomes": None,
         "ratios": ratios,
         "failure": {"stage": stage, "part": part},
     }

@@ -41,6 +41,7 @@ def search_bodies(
     file: Path,
     initial: int = 500,
     amplitudes: Mapping[str, float] | None = None,
+    noise_seeds: int = 0,
     seed: int = 0,
     jobs: int = 1,
     progress: bool | None = None,
@@ -57,14 +58,15 @@ def search_bodies(
         file: of the evaluations; its folder must exist.
         initial: T_ini of Task 1.
         amplitudes: R by cycle, see `evaluate_bodies`.
+        noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
         progress: show a bar on standard error; None: if that is a terminal.
 
     Returns:
         The evaluations of these searches, each ``search`` (digest of all that it depends on),
-        ``seed``, ``index``, ``body`` (open parameters by field), ``score``, ``ratios`` and
-        ``failure``; in the order in which they are tried.
+        ``seed``, ``index``, ``body`` (open parameters by field), ``score``, ``outcomes``,
+        ``ratios`` and ``failure``; in the order in which they are tried.
 
     Raises:
         ValueError: a setting out of its range, or a file of something else.
@@ -75,6 +77,7 @@ def search_bodies(
 
     for name, value, low in (
         ("evaluations", evaluations, 1),
+        ("noise_seeds", noise_seeds, 0),
         ("seed", seed, 0),
         ("jobs", jobs, 1),
         ("spaces", len(spaces), 1),
@@ -83,7 +86,11 @@ def search_bodies(
             raise ValueError(f"{name} = {value}: expected at least {low}")
     if any(space.base != spaces[0].base for space in spaces):
         raise ValueError("spaces: expected the same base in each")
-    judge = {"initial": initial, "amplitudes": dict(amplitudes or {})}
+    judge = {
+        "initial": initial,
+        "amplitudes": dict(amplitudes or {}),
+        "noise_seeds": noise_seeds,
+    }
     stored = read_evaluations(file)
     searches = [_Search(space, judge, seed, stored) for space in spaces]
     results: list[dict[str, Any]] = []
@@ -151,7 +158,7 @@ class _Search:
         self._stored = {each["index"]: each for each in stored if each["search"] == self._digest}
         self._random = np.random.default_rng(seed)
         self._count = 0
-        self._strategy = self._begin(np.full(space.dimension, 0.5))
+        self._strategy = self._begin(np.array(space.begin))
         self._candidates: list[Float] = []
         self._asked: list[dict[str, Any]] = []
 
@@ -180,7 +187,7 @@ class _Search:
                         f"evaluation {self._count} of search {self._digest} on file is of another"
                         " body than the search tries: the file has been changed"
                     )
-                results = {name: known[name] for name in ("score", "ratios", "failure")}
+                results = {name: known[name] for name in ("score", "outcomes", "ratios", "failure")}
                 evaluation |= results
             self._asked.append(evaluation)
             self._count += 1

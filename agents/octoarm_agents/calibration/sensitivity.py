@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from octoarm_agents.calibration.body import measure_again
+from octoarm_agents.calibration.outcomes import plain_outcomes
 from octoarm_agents.calibration.score import TEACHER_STEPS, follow_teachers, initial_steps
 from octoarm_agents.calibration.sensitivity_report import draw_sensitivity, sensitivity_markdown
 from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
@@ -59,6 +60,14 @@ def changes_of(base: ArmParameters) -> list[Change]:
         base: the body.
     """
     changes = [Change("", "the body as it is", {})]
+    share = OPEN_NUMBERS["longitudinal_mass_share"]
+    changes += [
+        Change("longitudinal_mass_share", f"{value:.3g}", {"longitudinal_mass_share": value})
+        for value in (share.low, 0.5, 2 / 3, 0.8, share.high)
+        if value != base.longitudinal_mass_share
+    ]
+    couplings = [each for each in ("gravity", "inertial") if each != base.base_coupling]
+    changes += [Change("base_coupling", each, {"base_coupling": each}) for each in couplings]
     for name in ("area_scale", "plane_mass", "plane_inertia"):
         value = float(getattr(base, name))
         if value:
@@ -69,7 +78,7 @@ def changes_of(base: ArmParameters) -> list[Change]:
     density = OPEN_NUMBERS["arm_density"]
     changes += [
         Change("arm_density", f"{value:g}", {"arm_density": value})
-        for value in (density.low, density.high)
+        for value in (density.low, 1080.0, 1150.0, density.high)
         if value != base.arm_density
     ]
     changes += [
@@ -99,6 +108,7 @@ def probe_change(
     fields: dict[str, Any],
     starts: Sequence[int],
     amplitudes: Sequence[float],
+    noise_seeds: int = 0,
 ) -> dict[str, Any]:
     """Measure a body with some parameters replaced; a trial of `run_trials`.
 
@@ -107,13 +117,20 @@ def probe_change(
         fields: replaced in it.
         starts: T_ini of each run of Task 1.
         amplitudes: R of the teachers, rising [degrees].
+        noise_seeds: trainings of each limit cycle, see `plain_outcomes`; 0: none.
 
     Returns:
-        ``error``: None, or why there is no such body at rest; ``task1``, see `measure_again`; and
-        ``largest_amplitudes`` by cycle: of the R up to which a direct base can be forced, the
-        largest [degrees], None if that is none.
+        ``error``: None, or why there is no such body at rest; ``task1``, see `measure_again`;
+        ``outcomes``, see `plain_outcomes`, None without noise seeds; and ``largest_amplitudes`` by
+        cycle: of the R up to which a direct base can be forced, the largest [degrees], None if that
+        is none.
     """
-    result: dict[str, Any] = {"error": None, "task1": None, "largest_amplitudes": None}
+    result: dict[str, Any] = {
+        "error": None,
+        "task1": None,
+        "outcomes": None,
+        "largest_amplitudes": None,
+    }
     try:
         body = parameters.replace(**fields)
         arm = Arm(body)
@@ -129,7 +146,8 @@ def probe_change(
             if made < TEACHER_STEPS:
                 break
             largest[target] = amplitude
-    return result | {"task1": task1, "largest_amplitudes": largest}
+    outcomes = plain_outcomes(body, noise_seeds) if noise_seeds else None
+    return result | {"task1": task1, "outcomes": outcomes, "largest_amplitudes": largest}
 
 
 def measure_sensitivity(
@@ -138,6 +156,7 @@ def measure_sensitivity(
     out: Path,
     trials: int = 3,
     amplitudes: Sequence[float] = AMPLITUDES,
+    noise_seeds: int = 2,
     jobs: int = 1,
     progress: bool | None = None,
 ) -> dict[str, Any]:
@@ -150,6 +169,7 @@ def measure_sensitivity(
         out: folder, which must exist.
         trials: T_ini over which the errors of Task 1 are averaged.
         amplitudes: R of the teachers [degrees].
+        noise_seeds: trainings of each limit cycle; 0: none.
         jobs: processes; the results do not depend on it.
         progress: show a bar on standard error; None: if that is a terminal.
 
@@ -169,7 +189,15 @@ def measure_sensitivity(
     results = run_trials(
         probe_change,
         base,
-        [{"fields": each.fields, "starts": starts, "amplitudes": ladder} for each in changes],
+        [
+            {
+                "fields": each.fields,
+                "starts": starts,
+                "amplitudes": ladder,
+                "noise_seeds": noise_seeds,
+            }
+            for each in changes
+        ],
         folder=out / ".sensitivity-trials",
         jobs=jobs,
         progress=progress,
@@ -181,6 +209,7 @@ def measure_sensitivity(
             "initial_steps": starts,
             "amplitudes_degrees": ladder,
             "teacher_steps": TEACHER_STEPS,
+            "noise_seeds": noise_seeds,
         },
         "changes": [
             {"parameter": each.parameter, "label": each.label, "fields": each.fields} | measured

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,19 +36,25 @@ def sensitivity_markdown(result: Mapping[str, Any]) -> str:
         result: of `octoarm_agents.calibration.sensitivity.measure_sensitivity`.
     """
     settings = result["settings"]
+    trained = settings["noise_seeds"] > 0
     cycles = [f"R of {target}" for target in LIMIT_CYCLES]
+    if trained:
+        cycles += [f"{target}, plain training" for target in LIMIT_CYCLES]
     columns = ["parameter", "value", *(TASK_LABELS[task] for task in TASKS), "score", *cycles]
     starts = ", ".join(str(start) for start in settings["initial_steps"])
     lines = [
         f"Error divided by that of Table 2 (Task 1, R = {settings['range_degrees']:g}°, mean over"
         f" T_ini = {starts}), the score of both, and the largest R in degrees up to which the"
-        f" teacher can force the arm for {settings['teacher_steps']} steps, direct base.",
+        f" teacher can force the arm for {settings['teacher_steps']} steps, direct base. Plain"
+        " training: outcomes of the paper's own, over noise seeds.",
         "",
         f"| {' | '.join(columns)} |",
         f"|{'---|' * 2}{'---:|' * (len(columns) - 2)}",
     ]
     for change in result["changes"]:
         cells = [change["parameter"], change["label"], *_ratio_cells(change), *_cycle_cells(change)]
+        if trained:
+            cells += _outcome_cells(change)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -66,6 +73,17 @@ def _cycle_cells(change: Mapping[str, Any]) -> list[str]:
         return ["–"] * len(LIMIT_CYCLES)
     largest = (change["largest_amplitudes"][target] for target in LIMIT_CYCLES)
     return ["none" if each is None else f"{each:g}" for each in largest]
+
+
+def _outcome_cells(change: Mapping[str, Any]) -> list[str]:
+    if change["outcomes"] is None:
+        return ["–"] * len(LIMIT_CYCLES)
+    cells = []
+    for target in LIMIT_CYCLES:
+        counts = Counter(change["outcomes"][target]).most_common()
+        alone = len(counts) == 1
+        cells.append(", ".join(name if alone else f"{count} {name}" for name, count in counts))
+    return cells
 
 
 def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:

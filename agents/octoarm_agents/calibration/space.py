@@ -39,8 +39,17 @@ class OpenNumber:
             return self.low * math.exp(coordinate * math.log(self.high / self.low))
         return self.low + (self.high - self.low) * coordinate
 
+    def coordinate(self, value: float) -> float:
+        """The coordinate of a value, or of the bound that is nearest to it."""
+        value = min(max(value, self.low), self.high)
+        if self.logarithmic:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
 
 OPEN_NUMBERS: dict[str, OpenNumber] = {
+    # A rod that turns about its foot, and all of its mass at the joint.
+    "longitudinal_mass_share": OpenNumber(1 / 3, 1.0, False, ""),
     "area_scale": OpenNumber(0.5, 50.0, True, ""),
     "plane_mass": OpenNumber(1e-4, 0.1, True, "kg"),
     "plane_inertia": OpenNumber(1e-8, 1e-5, True, "kg m²"),
@@ -82,6 +91,14 @@ class SearchSpace:
     def dimension(self) -> int:
         """Number of coordinates."""
         return len(OPEN_NUMBERS) + 2 * self.tilt
+
+    @property
+    def begin(self) -> list[float]:
+        """Coordinates of the body with which a search begins: `base`, or what is nearest to it."""
+        numbers = [
+            number.coordinate(getattr(self.base, name)) for name, number in OPEN_NUMBERS.items()
+        ]
+        return numbers + [0.5] * (2 * self.tilt)
 
     @property
     def spreads(self) -> list[float]:

@@ -62,8 +62,8 @@ def demo(
         bool,
         typer.Option(
             "--plain",
-            help="Teach as the paper does: allow for white noise on the lengths only, "
-            "not for what disturbances of the base do to them.",
+            help="Teach as the paper does: white noise on the lengths and the pseudo-inverse, "
+            "nothing that tells the readout what disturbances of the base do to them.",
         ),
     ] = False,
     burst: Annotated[
@@ -107,21 +107,18 @@ def demo(
 
     from octoarm_agents import demo as arm_demo
     from octoarm_agents.demo_figure import draw_demo
-    from octoarm_agents.experiments.cycle_settings import CYCLES
+    from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
     from octoarm_agents.files import write_atomically, write_json
-    from octoarm_agents.reservoir.teaching import UNDISTURBED
 
     parameters = read_body(arm)
-    teaching = CYCLES[target][actuator]
+    teaching = replace(CYCLES[target]["plain" if plain else "weighted"], actuator=actuator)
     if amplitude is not None:
         teaching = replace(teaching, amplitude=amplitude)
     if noise is not None:
         teaching = replace(teaching, noise=noise)
-    if plain:
-        teaching = replace(teaching, disturbances=UNDISTURBED)
     settings = arm_demo.DemoSettings(
         teaching=teaching,
-        burst=arm_demo.BURSTS[target][actuator] if burst is None else burst,
+        burst=PAPER_BURSTS[target][0] if burst is None else burst,
         steps=steps,
         seed=seed,
     )

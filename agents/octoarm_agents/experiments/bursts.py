@@ -1,8 +1,4 @@
-"""What Figures 9 and 10 share: noise on the outputs, and the way back to the cycle (section 3.2).
-
-The paper's ε go through the servo. Noise that is renewed every millisecond on a base that follows
-at once is an inertia load of thousands of g: the direct base gets what it can take.
-"""
+"""What Figures 9 and 10 share: noise on the outputs, and the way back to the cycle (3.2)."""
 
 from __future__ import annotations
 
@@ -12,15 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, DIRECT_BURSTS, PAPER_BURSTS
+from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, PAPER_BURSTS
 from octoarm_agents.experiments.runner import Context, ResultTable
-from octoarm_agents.experiments.task2 import (
-    TaughtCycle,
-    disturb_all,
-    fraction_recovered,
-    largest_recovered,
-    teach_cycles,
-)
+from octoarm_agents.experiments.task2 import disturb_all, fraction_recovered, teach_cycles
 from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, BURST_RUN
 
 __all__ = ["burst_tables", "count_outcomes", "draw_bursts", "run_bursts"]
@@ -36,44 +26,30 @@ PAPER = {
 
 
 def run_bursts(context: Context, target: str) -> dict[str, Any]:
-    """Disturb a cycle with the paper's ε through the servo, and with smaller ones directly.
+    """Disturb a cycle, taught as in the paper and by the weighted ridge, with the paper's ε.
 
     Args:
         context: of the experiment; its trials are seeds of the noise.
         target: name of the limit cycle, one that the paper disturbs.
     """
-    cycles = teach_cycles(context, [target])[target]
-    sizes = {"servo": PAPER_BURSTS[target], "direct": _direct_bursts(context, cycles["direct"])}
-    bases: dict[str, Any] = {}
-    for actuator, cycle in reversed(cycles.items()):
-        entry = cycle.describe() | {"bursts": []}
-        if cycle.failure is None:
-            bursts = [(cycle, burst) for burst in sizes[actuator]]
+    trainings: dict[str, Any] = {}
+    for training, cycles in teach_cycles(context, [target])[target].items():
+        entry = cycles[0].describe() | {"bursts": []}
+        if cycles[0].failure is None:
+            bursts = [(cycles, burst) for burst in PAPER_BURSTS[target]]
             for (_, burst), trials in zip(
                 bursts, disturb_all(context, bursts, series=True), strict=True
             ):
                 entry["bursts"].append({"burst_deg": burst} | _summarise(trials))
-        bases[actuator] = entry
+        trainings[training] = entry
     return {
         "target": target,
         "trials": context.trials,
         "burst_steps": [BURST_BEGIN, BURST_END],
         "steps": BURST_RUN,
-        "bases": bases,
+        "trainings": trainings,
         "paper": PAPER[target],
     }
-
-
-def _direct_bursts(context: Context, cycle: TaughtCycle) -> tuple[float, ...]:
-    """What the direct base recovers from for sure, and less in the paper's proportions."""
-    paper = PAPER_BURSTS[cycle.teaching.target]
-    if cycle.failure is not None:
-        return ()
-    results = disturb_all(context, [(cycle, burst) for burst in DIRECT_BURSTS])
-    fractions = [fraction_recovered(trials) for trials in results]
-    largest = largest_recovered(list(zip(DIRECT_BURSTS, fractions, strict=True)))
-    top = DIRECT_BURSTS[0] if largest is None else largest
-    return tuple(top * burst / paper[0] for burst in paper)
 
 
 def _summarise(trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -108,14 +84,14 @@ def burst_tables(result: Mapping[str, Any]) -> list[ResultTable]:
     """What was recovered from, by base and ε."""
     rows = []
     notes = [f"The paper: {result['paper']}"]
-    for actuator, entry in result["bases"].items():
+    for training, entry in result["trainings"].items():
         if entry["teaching_failure"] is not None:
-            notes.append(f"{actuator}: {entry['teaching_failure']['message']}.")
+            notes.append(f"{training}: {entry['teaching_failure']['message']}.")
         for burst in entry["bursts"]:
             seconds, shift = burst["median_recovery_seconds"], burst["median_phase_shift_turns"]
             rows.append(
                 (
-                    actuator,
+                    training,
                     f"{entry['amplitude_deg']:g}",
                     f"{burst['burst_deg']:.3g}",
                     f"{burst['recovered_fraction']:.0%}",
@@ -123,13 +99,20 @@ def burst_tables(result: Mapping[str, Any]) -> list[ResultTable]:
                     "–" if shift is None else f"{shift:.3f}",
                 )
             )
-    columns = ("base", "R (°)", "ε (°)", "recovered", "time to recover (s)", "phase shift (turns)")
+    columns = (
+        "training",
+        "R (°)",
+        "ε (°)",
+        "recovered",
+        "time to recover (s)",
+        "phase shift (turns)",
+    )
     title = f"The {CYCLE_LABELS[result['target']]} under noise, {result['trials']} seeds"
     return [ResultTable(title, columns, rows, notes)]
 
 
 def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
-    """A row an ε: outputs over time around the noise, and the portrait, for both bases."""
+    """A row an ε: outputs over time around the noise, and the portrait, for both trainings."""
     from octoarm_agents.experiments.cycle_figures import (
         draw_outputs,
         draw_portrait,
@@ -148,14 +131,14 @@ def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
     figure = new_figure(13.0, 9.0)
     grid = figure.add_gridspec(3, 4, width_ratios=(2.0, 1.0, 2.0, 1.0))
     panels = []
-    for side, (actuator, entry) in enumerate(result["bases"].items()):
+    for side, (training, entry) in enumerate(result["trainings"].items()):
         for row in range(3):
             left = figure.add_subplot(grid[row, 2 * side])
             right = figure.add_subplot(grid[row, 2 * side + 1])
             panels += [left, right]
             burst = entry["bursts"][row] if entry["bursts"] else None
             failure = entry["teaching_failure"] if burst is None else burst["shown"]["failure"]
-            left.set_title(_title(actuator, burst), fontsize=9)
+            left.set_title(_title(training, burst), fontsize=9)
             if burst is None or (failure is not None and failure["step"] < BURST_BEGIN):
                 say_missing(left, failure)
                 say_missing(right, failure)
@@ -180,8 +163,8 @@ def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _title(actuator: str, burst: Mapping[str, Any] | None) -> str:
+def _title(training: str, burst: Mapping[str, Any] | None) -> str:
     if burst is None:
-        return f"{actuator} base"
+        return f"{training} training"
     fraction = burst["recovered_fraction"]
-    return f"{actuator} base, ε = {burst['burst_deg']:.3g}°: {fraction:.0%} recovered"
+    return f"{training} training, ε = {burst['burst_deg']:.3g}°: {fraction:.0%} recovered"

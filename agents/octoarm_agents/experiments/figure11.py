@@ -13,7 +13,7 @@ import numpy as np
 
 from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.bursts import count_outcomes
-from octoarm_agents.experiments.cycle_settings import DIRECT_BURSTS, PAPER_BURSTS
+from octoarm_agents.experiments.cycle_settings import BURSTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.task2 import (
     FOLDER,
@@ -27,10 +27,6 @@ from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, dist
 __all__ = ["EXPERIMENT"]
 
 TARGET = "lissajous"
-SERVO_BURSTS = (*sorted(PAPER_BURSTS[TARGET]), 1.0, 3.0, 10.0, 20.0, 40.0)
-LADDERS = {"servo": SERVO_BURSTS, "direct": DIRECT_BURSTS}
-"""ε by the actuator of the base [degrees]."""
-
 OUTCOMES = {
     "recovered": "recovered",
     "off_cycle": "not back at the end",
@@ -47,12 +43,12 @@ PAPER = (
 
 def run(context: Context) -> dict[str, Any]:
     """Count the trials that are lost, and show one."""
-    bases: dict[str, Any] = {}
+    trainings: dict[str, Any] = {}
     example = None
-    for actuator, cycle in reversed(teach_cycles(context, [TARGET])[TARGET].items()):
-        entry = cycle.describe() | {"bursts": []}
-        if cycle.failure is None:
-            bursts = [(cycle, burst) for burst in LADDERS[actuator]]
+    for training, cycles in teach_cycles(context, [TARGET])[TARGET].items():
+        entry = cycles[0].describe() | {"bursts": []}
+        if cycles[0].failure is None:
+            bursts = [(cycles, burst) for burst in BURSTS]
             for (_, burst), trials in zip(bursts, disturb_all(context, bursts), strict=True):
                 lost = [trial["trial"] for trial in trials if not trial["recovered"]]
                 entry["bursts"].append(
@@ -64,13 +60,14 @@ def run(context: Context) -> dict[str, Any]:
                     }
                 )
                 if lost and example is None:
-                    example = _show(context, cycle, burst, lost[0])
-        bases[actuator] = entry
+                    shown = _show(context, cycles[lost[0] % len(cycles)], burst, lost[0])
+                    example = {"training": training} | shown
+        trainings[training] = entry
     return {
         "target": TARGET,
         "trials": context.trials,
         "burst_steps": [BURST_BEGIN, BURST_END],
-        "bases": bases,
+        "trainings": trainings,
         "example": example,
         "paper": PAPER,
     }
@@ -81,7 +78,6 @@ def _show(context: Context, cycle: TaughtCycle, burst: float, trial: int) -> dic
     settings = {"burst": burst, "seed": context.seed, "trial": trial, "series": True}
     shown = context.run(FOLDER, disturb_cycle, [cycle.settings | settings])[0]
     return {
-        "actuator": cycle.teaching.actuator,
         "amplitude_deg": cycle.teaching.amplitude,
         **{name: shown[name] for name in ("burst_deg", "trial", "failure", "series")},
     }
@@ -90,17 +86,17 @@ def _show(context: Context, cycle: TaughtCycle, burst: float, trial: int) -> dic
 def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     """The part of the trials that is lost, by base and ε."""
     rows, notes = [], [f"The paper: {result['paper']}"]
-    for actuator, entry in result["bases"].items():
+    for training, entry in result["trainings"].items():
         if entry["teaching_failure"] is not None:
-            notes.append(f"{actuator}: {entry['teaching_failure']['message']}.")
+            notes.append(f"{training}: {entry['teaching_failure']['message']}.")
         for burst in entry["bursts"]:
             outcomes = ", ".join(
                 f"{count} {OUTCOMES[name]}" for name, count in burst["outcomes"].items()
             )
             lost = f"{burst['lost_fraction']:.0%}"
-            rows.append((actuator, f"{burst['burst_deg']:g}", lost, outcomes))
+            rows.append((training, f"{burst['burst_deg']:g}", lost, outcomes))
     title = f"The Lissajous curve lost, {result['trials']} seeds"
-    return [ResultTable(title, ("base", "ε (°)", "lost", "outcomes"), rows, notes)]
+    return [ResultTable(title, ("training", "ε (°)", "lost", "outcomes"), rows, notes)]
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
@@ -138,7 +134,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         over_time.set_xlim(left=timestep * (BURST_BEGIN - 2_000))
         failure = example["failure"]
         outcome = OUTCOMES["off_cycle" if failure is None else failure["reason"]]
-        title = f"{example['actuator']} base, ε = {example['burst_deg']:g}°"
+        title = f"{example['training']} training, ε = {example['burst_deg']:g}°"
         over_time.set_title(f"{title}, seed {example['trial']}: {outcome}", fontsize=9)
         steps, outputs = np.array(series["step"]), np.array(series["outputs_deg"])
         curves = [
@@ -146,8 +142,8 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             (outputs[:, (steps >= BURST_BEGIN - 2_000) & (steps < BURST_BEGIN)], BLACK),
         ]
         draw_portrait(portrait, np.array(series["target_deg"])[:, :100], curves)
-    for (actuator, entry), colour, marker in zip(
-        result["bases"].items(), (GREEN, PURPLE), "os", strict=True
+    for (training, entry), colour, marker in zip(
+        result["trainings"].items(), (GREEN, PURPLE), "os", strict=True
     ):
         lost.plot(
             [burst["burst_deg"] for burst in entry["bursts"]],
@@ -156,7 +152,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             marker=marker,
             markersize=5,
             linewidth=1.2,
-            label=f"{actuator} base, R = {entry['amplitude_deg']:g}°",
+            label=f"{training} training, R = {entry['amplitude_deg']:g}°",
         )
     lost.set_xscale("log")
     lost.set(ylim=(-5, 105))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.experiments import EXPERIMENTS
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
+from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, TRAININGS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
+from octoarm_agents.experiments.statistics import format_range
 from octoarm_agents.experiments.task2 import teach_cycles
 
 __all__ = ["EXPERIMENT", "by_compartment", "describe_weights"]
@@ -22,27 +23,69 @@ SPRINGS = 4
 BASE_COMPARTMENTS = 6
 """In the paper's Lissajous curve, output 1 has almost no weights beyond compartment 6."""
 
-PAPER = {
-    "quadratic": "Symmetric and corresponding over springs (1, 2 and 3, 4 of compartments 3 to 13),"
-    " and over both outputs.",
-    "van_der_pol": "Not shown.",
-    "lissajous": "Symmetric within each output, not over both; output 1 has almost none in"
-    " compartments 7 to 20.",
+_ALIKE = 0.5
+"""Size of a correlation from which on two patterns of weights count as corresponding."""
+
+_ALMOST_ALL = 0.9
+"""Part of the sum of squares from which on the rest counts as almost without weights."""
+
+PAPER_FEATURES = {
+    "quadratic_springs": "Quadratic: springs 1, 2 correspond to springs 3, 4.",
+    "quadratic_outputs": "Quadratic: output 1 corresponds to output 2.",
+    "lissajous_springs": "Lissajous: springs 1, 2 correspond to springs 3, 4.",
+    "lissajous_outputs": "Lissajous: output 1 does not correspond to output 2.",
+    "lissajous_near_base": "Lissajous: output 1 has almost no weights beyond compartment 6.",
 }
 
 
 def run(context: Context) -> dict[str, Any]:
-    """Weights of the direct base's readouts, and what the paper says of them as numbers."""
+    """Weights of both trainings, and what the paper says of them as numbers."""
     cycles: dict[str, Any] = {}
-    for target, by_actuator in teach_cycles(context, actuators=["direct"]).items():
-        cycle = by_actuator["direct"]
-        entry = cycle.describe() | {"paper": PAPER[target], "outputs": None}
-        if cycle.failure is None:
-            weights = np.array(cycle.result["weights"])
-            entry["outputs"] = [describe_weights(column) for column in weights.T]
-            entry["correlation_of_outputs"] = _correlation(*weights.T)
-        cycles[target] = entry
-    return {"trials": 1, "cycles": cycles}
+    for target, pair in teach_cycles(context).items():
+        cycles[target] = {}
+        for training, taught in pair.items():
+            entry = taught[0].describe() | {"readouts": []}
+            if taught[0].failure is None:
+                for cycle in taught:
+                    weights = np.array(cycle.result["weights"])
+                    entry["readouts"].append(
+                        {
+                            "seed": cycle.teaching.seed,
+                            "outputs": [describe_weights(column) for column in weights.T],
+                            "correlation_of_outputs": _correlation(*weights.T),
+                        }
+                    )
+            cycles[target][training] = entry
+    return {
+        "trials": 1,
+        "cycles": cycles,
+        "paper": PAPER_FEATURES,
+        "confirmed": {training: _check_features(cycles, training) for training in TRAININGS},
+    }
+
+
+def _check_features(cycles: Mapping[str, Any], training: str) -> dict[str, list[bool]]:
+    """Whether the paper's observations hold, for each repetition of a training."""
+
+    def each(target: str, holds: Callable[[Mapping[str, Any]], bool]) -> list[bool]:
+        readouts = cycles[target][training]["readouts"] if target in cycles else []
+        return [holds(readout) for readout in readouts]
+
+    def springs_alike(readout: Mapping[str, Any]) -> bool:
+        return all(abs(output["correlation_of_pairs"]) >= _ALIKE for output in readout["outputs"])
+
+    def outputs_alike(readout: Mapping[str, Any]) -> bool:
+        return bool(abs(readout["correlation_of_outputs"]) >= _ALIKE)
+
+    return {
+        "quadratic_springs": each("quadratic", springs_alike),
+        "quadratic_outputs": each("quadratic", outputs_alike),
+        "lissajous_springs": each("lissajous", springs_alike),
+        "lissajous_outputs": each("lissajous", lambda readout: not outputs_alike(readout)),
+        "lissajous_near_base": each(
+            "lissajous", lambda readout: readout["outputs"][0]["part_near_base"] >= _ALMOST_ALL
+        ),
+    }
 
 
 def describe_weights(weights: Float) -> dict[str, Any]:
@@ -74,38 +117,65 @@ def _correlation(first: Float, second: Float) -> float:
 
 
 def tables(result: Mapping[str, Any]) -> list[ResultTable]:
-    """The paper's observations as numbers."""
+    """The paper's observations as numbers, over the repetitions of a training, and the verdicts."""
     rows, notes = [], []
-    for target, entry in result["cycles"].items():
-        if entry["outputs"] is None:
-            notes.append(f"{target}: {entry['teaching_failure']['message']}.")
-            continue
-        for number, output in enumerate(entry["outputs"], 1):
-            weights = np.array(output["weights"])
-            rows.append(
-                (
-                    target,
-                    str(number),
-                    f"{np.abs(weights).max():.3g}",
-                    f"{output['correlation_of_pairs']:+.2f}",
-                    f"{output['part_near_base']:.0%}",
-                    f"{entry['correlation_of_outputs']:+.2f}",
+    for target, pair in result["cycles"].items():
+        for training, entry in pair.items():
+            if not entry["readouts"]:
+                notes.append(f"{target}: {entry['teaching_failure']['message']}.")
+                continue
+            for number in range(2):
+                outputs = [readout["outputs"][number] for readout in entry["readouts"]]
+                rows.append(
+                    (
+                        target,
+                        training,
+                        str(number + 1),
+                        format_range(
+                            [np.abs(output["weights"]).max() for output in outputs], ".3g"
+                        ),
+                        format_range(
+                            [output["correlation_of_pairs"] for output in outputs], "+.2f"
+                        ),
+                        format_range([output["part_near_base"] for output in outputs], ".0%"),
+                        format_range(
+                            [each["correlation_of_outputs"] for each in entry["readouts"]], "+.2f"
+                        ),
+                    )
                 )
-            )
-        notes.append(f"The paper, {target}: {entry['paper']}")
     columns = (
         "cycle",
+        "training",
         "output",
         "largest (°/m)",
         "springs 1, 2 with 3, 4",
         f"squares in 1-{BASE_COMPARTMENTS}",
         "output 1 with 2",
     )
-    return [ResultTable("Weights and their correlations, direct base", columns, rows, notes)]
+    verdicts = [
+        (text, *(_count(result["confirmed"][training][name]) for training in TRAININGS))
+        for name, text in result["paper"].items()
+    ]
+    title = "Weights and their correlations, smallest to largest over the noise seeds"
+    return [
+        ResultTable(title, columns, rows, notes),
+        ResultTable(
+            f"The paper's observations (correspond: correlation of {_ALIKE:g} or more in size)",
+            ("", *TRAININGS),
+            verdicts,
+        ),
+    ]
+
+
+def _count(confirmed: Sequence[bool]) -> str:
+    return f"{sum(confirmed)} of {len(confirmed)}" if confirmed else "–"
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
-    """Bars, a row a cycle and a column an output; the four springs of a compartment together."""
+    """Bars of the plain training's first readouts, a row a cycle and a column an output.
+
+    The four springs of a compartment stand together.
+    """
     from octoarm_agents.experiments.cycle_figures import say_missing
     from octoarm_agents.experiments.figures import (
         BLUE,
@@ -120,12 +190,13 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
 
     figure = new_figure(13.0, 8.5)
     panels = figure.subplots(len(result["cycles"]), 2, squeeze=False)
-    for row, (target, entry) in zip(panels, result["cycles"].items(), strict=True):
+    for row, (target, pair) in zip(panels, result["cycles"].items(), strict=True):
+        entry = pair["plain"]
         for number, axes in enumerate(row):
-            if entry["outputs"] is None:
+            if not entry["readouts"]:
                 say_missing(axes, entry["teaching_failure"])
                 continue
-            weights = np.array(entry["outputs"][number]["weights"])
+            weights = np.array(entry["readouts"][0]["outputs"][number]["weights"])
             compartments = np.arange(1, len(weights) + 1)
             for spring, colour in enumerate((BLUE, ORANGE, GREEN, VERMILLION)):
                 axes.bar(

@@ -42,16 +42,16 @@ FACTORS = (0.0, 0.1, 1.0, 10.0)
 
 
 def run(context: Context) -> dict[str, Any]:
-    """Numbers and fate of every loop of the grid, direct base."""
+    """Numbers and fate of every loop of the grid."""
     steps = STEPS if context.steps is None else context.steps
     teachings = [
         replace(
-            by_actuator["direct"],
+            trainings["weighted"],
             amplitude=amplitude,
-            seed=by_actuator["direct"].seed + context.seed,
+            seed=trainings["weighted"].seed + context.seed,
         )
-        for by_actuator in CYCLES.values()
-        for amplitude in _amplitudes(by_actuator["direct"].amplitude, context)
+        for trainings in CYCLES.values()
+        for amplitude in _amplitudes(trainings["weighted"].amplitude, context)
     ]
     results = context.run(
         FOLDER,

@@ -1,8 +1,8 @@
 """Figures 6 to 8: the three limit cycles, held by the body alone for 1,000,000 steps (section 3.2).
 
-Beside the paper's protocol stands what it takes to hold all three: a ridge weighted by what small
-disturbances of the base do to the body (`octoarm_agents.reservoir.teaching`). The same readouts
-taught without it are reported too, and so are the paper's own amplitudes.
+First the paper's own training at its own R and ν, with several seeds of the noise and with other ν
+beside it. Then, at the same R, a ridge weighted by what small disturbances of the base do to the
+body (`octoarm_agents.reservoir.teaching`). Both are disturbed while they run.
 """
 
 from __future__ import annotations
@@ -14,13 +14,11 @@ from typing import Any
 
 from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.cycle_settings import (
-    ACTUATORS,
+    BURSTS,
     CYCLES,
-    DIRECT_BURSTS,
-    PAPER_AMPLITUDES,
+    NEIGHBOURS,
     PAPER_FINDINGS,
-    PAPER_NOISES,
-    PLAIN_NOISES,
+    TRAININGS,
 )
 from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
@@ -32,54 +30,79 @@ from octoarm_agents.experiments.task2 import (
     disturb_all,
     fraction_recovered,
     largest_recovered,
-    paper_bursts,
+    seeds_of,
     teach_all,
     teach_cycles,
 )
 from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, BURST_RUN, hold_cycle
 from octoarm_agents.reservoir.closed_loop import WINDOW_STEPS
-from octoarm_agents.reservoir.teaching import UNDISTURBED
 
 __all__ = ["EXPERIMENT"]
 
-SERIES = "series"
-
-PAPER_BURST_RULE = (
-    "White noise of half width ε on both outputs, anew each step. Quadratic and Lissajous: the"
-    " paper's ε. Van der Pol: the quadratic cycle's in proportion to the amplitudes."
+LISTED = (
+    "amplitude_deg",
+    "noise",
+    "steps",
+    "survived",
+    "held",
+    "failure",
+    "distance",
+    "largest_jump_deg",
 )
+"""What is told of every repetition of a plain training."""
 
 
 def run(context: Context) -> dict[str, Any]:
-    """Hold every cycle, disturb it, and try what the paper did."""
+    """Hold every cycle by both trainings, try other ν, and disturb what is held."""
     steps = STEPS if context.steps is None else context.steps
     if steps < 2 * WINDOW_STEPS:
         raise RefusedError(f"steps = {steps}: expected at least {2 * WINDOW_STEPS}")
     taught = teach_cycles(context)
-    held = _hold(context, [each for pair in taught.values() for each in pair.values()], steps)
-    cycles: dict[str, Any] = {}
-    for index, (target, pair) in enumerate(taught.items()):
-        direct, servo = held[len(ACTUATORS) * index : len(ACTUATORS) * (index + 1)]
-        cycles[target] = pair["direct"].describe() | direct
-        cycles[target]["servo"] = pair["servo"].describe() | servo
-        cycles[target]["paper"] = PAPER_FINDINGS[target]
-    for target, results in _disturb(context, taught).items():
-        cycles[target] |= results
-    for target, results in _plain_trainings(context, steps).items():
-        cycles[target]["paper_training"] = results
+    beside = _teach_neighbours(context)
+    every = [cycle for pair in taught.values() for cycles in pair.values() for cycle in cycles]
+    held = iter(_hold(context, [*every, *(cycle for _, cycle in beside)], steps))
+    plain: dict[str, Any] = {}
+    weighted: dict[str, Any] = {}
+    for target, pair in taught.items():
+        entries = [next(held) for _ in pair["plain"]]
+        plain[target] = _list(entries) | {
+            "series": entries[0]["series"],
+            "paper": PAPER_FINDINGS[target],
+            "neighbours": [],
+        }
+        weighted[target] = next(held)
+    for target, cycle in beside:
+        entry, neighbours = next(held), plain[target]["neighbours"]
+        if cycle.teaching.seed == context.seed:
+            neighbours.append({"noise": cycle.teaching.noise, "held": [], "distance": []})
+        neighbours[-1]["held"].append(entry["held"])
+        neighbours[-1]["distance"].append(entry["distance"])
     return {
         "steps": steps,
         "window_steps": WINDOW_STEPS,
         "trials": context.trials,
-        "burst": {
-            "steps": [BURST_BEGIN, BURST_END],
-            "run_steps": BURST_RUN,
-            "rule": PAPER_BURST_RULE,
-            "direct_ladder_deg": list(DIRECT_BURSTS),
-        },
-        "cycles": cycles,
-        "paper_amplitudes": _paper_amplitudes(context, steps),
+        "burst": {"steps": [BURST_BEGIN, BURST_END], "run_steps": BURST_RUN, "ladder": BURSTS},
+        "plain": plain,
+        "weighted": weighted,
+        "recovery": _disturb(context, taught),
     }
+
+
+def _teach_neighbours(context: Context) -> list[tuple[str, TaughtCycle]]:
+    """The plain training with other ν, and the target of each."""
+    teachings = []
+    for target, trainings in CYCLES.items():
+        teaching = trainings["plain"]
+        if context.amplitude is not None:
+            teaching = replace(teaching, amplitude=context.amplitude)
+        teachings += [
+            (target, replace(teaching, noise=noise, seed=seed))
+            for noise in NEIGHBOURS
+            if noise != teaching.noise
+            for seed in seeds_of(teaching)
+        ]
+    cycles = teach_all(context, [teaching for _, teaching in teachings])
+    return [(target, cycle) for (target, _), cycle in zip(teachings, cycles, strict=True)]
 
 
 def _hold(context: Context, taught: Sequence[TaughtCycle], steps: int) -> list[dict[str, Any]]:
@@ -88,7 +111,10 @@ def _hold(context: Context, taught: Sequence[TaughtCycle], steps: int) -> list[d
     results = iter(
         context.run(FOLDER, hold_cycle, [each.settings | {"steps": steps} for each in ready])
     )
-    return [_flatten(next(results) if each.failure is None else None) for each in taught]
+    return [
+        each.describe() | _flatten(next(results) if each.failure is None else None)
+        for each in taught
+    ]
 
 
 def _flatten(result: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -100,181 +126,116 @@ def _flatten(result: Mapping[str, Any] | None) -> dict[str, Any]:
         "survived": result is not None and result["survived"],
         "held": scores is not None and scores["held"],
         "failure": None if result is None else result["failure"],
-        "orbit_distance_mean": values.get("mean_distance"),
-        "orbit_distance_max": values.get("max_distance"),
+        "distance": values.get("mean_distance"),
+        "distance_max": values.get("max_distance"),
         "period_ratio": values.get("period_ratio"),
         "amplitude_ratio": values.get("amplitude_ratio"),
+        "largest_jump_deg": None if result is None else result["largest_jump_deg"],
         "seconds": None if result is None else result["seconds"],
-        SERIES: [] if result is None else result["series"],
+        "series": [] if result is None else result["series"],
     }
 
 
+def _list(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The repetitions of a training, a list for each of `LISTED`."""
+    listed: dict[str, Any] = {name: [entry[name] for entry in entries] for name in LISTED}
+    listed["teaching_failure"] = entries[0]["teaching_failure"]
+    return listed
+
+
 def _disturb(
-    context: Context, taught: Mapping[str, Mapping[str, TaughtCycle]]
+    context: Context, taught: Mapping[str, Mapping[str, Sequence[TaughtCycle]]]
 ) -> dict[str, dict[str, Any]]:
-    """The paper's noise through the servo, and the ladder on the direct base."""
-    pairs = [
-        (cycle, burst)
-        for by_actuator in taught.values()
-        for cycle in by_actuator.values()
-        if cycle.failure is None
-        for burst in _bursts(context, cycle)
+    """The part of the trials that recovers, for every ε of the ladder."""
+    bursts = [
+        (target, training, burst)
+        for target, pair in taught.items()
+        for training, cycles in pair.items()
+        if cycles[0].failure is None
+        for burst in BURSTS
     ]
+    trials = disturb_all(context, [(taught[t][name], burst) for t, name, burst in bursts])
     fractions: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for (cycle, burst), trials in zip(pairs, disturb_all(context, pairs), strict=True):
-        key = (cycle.teaching.target, cycle.teaching.actuator)
-        fractions.setdefault(key, []).append((burst, fraction_recovered(trials)))
-    results: dict[str, dict[str, Any]] = {}
-    for target in taught:
-        servo = fractions.get((target, "servo"), [])
-        direct = fractions.get((target, "direct"), [])
-        results[target] = {
-            "recovered": {f"{burst:g}": fraction == 1 for burst, fraction in servo},
-            "recovered_fraction": {f"{burst:g}": fraction for burst, fraction in servo},
-            "largest_recovered_direct": largest_recovered(direct),
-            "direct_recovered_fraction": {f"{burst:g}": fraction for burst, fraction in direct},
+    for (target, training, burst), results in zip(bursts, trials, strict=True):
+        entry = fractions.setdefault((target, training), [])
+        entry.append((burst, fraction_recovered(results)))
+    return {
+        target: {
+            training: {
+                "recovered_fraction": {
+                    f"{burst:g}": part for burst, part in fractions.get((target, training), [])
+                },
+                "largest_recovered": largest_recovered(fractions.get((target, training), [])),
+            }
+            for training in TRAININGS
         }
-    return results
-
-
-def _bursts(context: Context, cycle: TaughtCycle) -> Sequence[float]:
-    servo = cycle.teaching.actuator == "servo"
-    return paper_bursts(context, cycle) if servo else DIRECT_BURSTS
-
-
-def _plain_trainings(context: Context, steps: int) -> dict[str, dict[str, Any]]:
-    """The direct base taught without disturbances, at the same R, for each ν of a grid."""
-    teachings = []
-    for target, by_actuator in CYCLES.items():
-        teaching = replace(by_actuator["direct"], disturbances=UNDISTURBED)
-        if context.amplitude is not None:
-            teaching = replace(teaching, amplitude=context.amplitude)
-        noises = sorted({*PLAIN_NOISES, PAPER_NOISES[target]})
-        teachings += [replace(teaching, noise=noise) for noise in noises]
-    taught = teach_all(context, teachings)
-    tried: dict[str, list[dict[str, Any]]] = {target: [] for target in CYCLES}
-    for cycle, held in zip(taught, _hold(context, taught, steps), strict=True):
-        entry = cycle.describe() | held
-        del entry[SERIES]
-        tried[cycle.teaching.target].append(entry)
-    return {target: _best(entries) | {"tried": entries} for target, entries in tried.items()}
-
-
-def _best(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The one that held the cycle most closely; if none did, that which went on longest."""
-
-    def merit(entry: dict[str, Any]) -> tuple[bool, int, float]:
-        distance = entry["orbit_distance_mean"]
-        return entry["held"], entry["steps"], 0.0 if distance is None else -distance
-
-    return max(entries, key=merit)
-
-
-def _paper_amplitudes(context: Context, steps: int) -> dict[str, dict[str, Any]]:
-    """The paper's R: with its own ν, and with the weighting used here."""
-    teachings = []
-    for target, by_actuator in CYCLES.items():
-        for actuator in ACTUATORS:
-            weighted = replace(by_actuator[actuator], amplitude=PAPER_AMPLITUDES[target])
-            plain = replace(weighted, noise=PAPER_NOISES[target], disturbances=UNDISTURBED)
-            teachings += [plain, weighted]
-    taught = teach_all(context, teachings)
-    entries = [
-        {name: value for name, value in (cycle.describe() | held).items() if name != SERIES}
-        for cycle, held in zip(taught, _hold(context, taught, steps), strict=True)
-    ]
-    results: dict[str, dict[str, Any]] = {target: {} for target in CYCLES}
-    for index in range(0, len(entries), 2):
-        teaching = taught[index].teaching
-        results[teaching.target][teaching.actuator] = {
-            "amplitude_deg": teaching.amplitude,
-            "follows_teacher": taught[index].failure is None,
-            "failure": taught[index].failure,
-            "paper_training": entries[index],
-            "weighted_training": entries[index + 1],
-        }
-    return results
+        for target in taught
+    }
 
 
 def tables(result: Mapping[str, Any]) -> list[ResultTable]:
-    """The cycles held, what they recover from, and what the paper's settings give."""
-    columns = ("cycle", "base", "R (°)", "steps", "distance", "largest", "period")
-    rows, recovery = [], []
-    notes = [
-        "Distance of the outputs to the target's orbit, mean and largest, in units of R; period"
-        " over the target's. Plain: trained as in the paper, the best of the ν tried."
-    ]
-    for target, entry in result["cycles"].items():
-        plain = entry["paper_training"]
-        for base, each in (
-            ("direct", entry),
-            ("servo", entry["servo"]),
-            ("direct, plain", plain),
-        ):
-            rows.append((target, base, *_row(each)))
-            failure = each["teaching_failure"] or each["failure"]
-            if failure is not None:
-                notes.append(f"{target}, {base}: {failure['message']}.")
-        servo = ", ".join(
-            f"{burst}°: {fraction:.0%}" for burst, fraction in entry["recovered_fraction"].items()
-        )
-        largest = entry["largest_recovered_direct"]
-        direct = "none of the ladder" if largest is None else f"{largest:g}°"
-        recovery.append((target, servo or "–", direct))
-    paper = []
-    for target, by_actuator in result["paper_amplitudes"].items():
-        for actuator, entry in by_actuator.items():
-            if entry["failure"] is not None:
-                outcome = (entry["failure"]["message"],) * 2
-            else:
-                outcome = (_outcome(entry["paper_training"]), _outcome(entry["weighted_training"]))
-            paper.append((target, actuator, f"{entry['amplitude_deg']:g}", *outcome))
-    window = f"last {result['window_steps']} of {result['steps']} steps"
+    """The cycles held by both trainings, other ν, and what is recovered from."""
+    rows, notes, beside, recovery = [], [], [], []
+    for target, plain in result["plain"].items():
+        weighted = result["weighted"][target]
+        failure = plain["teaching_failure"] or weighted["failure"]
+        if failure is not None:
+            notes.append(f"{target}: {failure['message']}.")
+        rows.append((target, "plain", *_outcomes(plain, plain["amplitude_deg"][0])))
+        one = {name: [weighted[name]] for name in ("held", "distance", "steps")}
+        rows.append((target, "weighted", *_outcomes(one, weighted["amplitude_deg"])))
+        notes.append(f"The paper, {target}: {plain['paper']}")
+        beside += [
+            (target, f"{each['noise']:.0e}", _count(each["held"]), _spread(each["distance"]))
+            for each in plain["neighbours"]
+        ]
+        for training, entry in result["recovery"][target].items():
+            fractions = entry["recovered_fraction"].items()
+            lost = [f"{burst}°: {part:.0%}" for burst, part in fractions if part < 1]
+            largest = entry["largest_recovered"]
+            recovery.append(
+                (
+                    target,
+                    training,
+                    "none of the ladder" if largest is None else f"{largest:g}°",
+                    ", ".join(lost) or "–",
+                )
+            )
+    title = f"Limit cycles in closed loop, last {result['window_steps']} of {result['steps']} steps"
+    columns = ("cycle", "training", "R (°)", "steps", "held", "distance, median (all)")
     return [
-        ResultTable(f"Limit cycles in closed loop (* held), {window}", columns, rows, notes),
+        ResultTable(title, columns, rows, notes),
+        ResultTable("Plain, other ν", ("cycle", "ν (m)", "held", "distance, median (all)"), beside),
         ResultTable(
             f"Recovery from noise, {result['trials']} seeds",
-            ("cycle", "servo: part recovered", "direct: largest ε all recover from"),
+            ("cycle", "training", "largest ε all recover from", "larger ε: part recovered"),
             recovery,
-        ),
-        ResultTable(
-            "At the paper's R",
-            ("cycle", "base", "R (°)", "the paper's training", "weighted ridge"),
-            paper,
         ),
     ]
 
 
-def _row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    numbers = (
-        _number(entry[name], digits)
-        for name, digits in (
-            ("orbit_distance_mean", ".1e"),
-            ("orbit_distance_max", ".1e"),
-            ("period_ratio", ".4f"),
-        )
-    )
-    return (
-        f"{entry['amplitude_deg']:g}",
-        f"{entry['steps']}{'*' if entry['held'] else ''}",
-        *numbers,
-    )
+def _outcomes(entry: Mapping[str, Any], amplitude: float) -> tuple[str, ...]:
+    steps = min(entry["steps"])
+    return f"{amplitude:g}", str(steps), _count(entry["held"]), _spread(entry["distance"])
 
 
-def _number(value: float | None, digits: str) -> str:
-    return "–" if value is None else format(value, digits)
+def _count(held: Sequence[bool]) -> str:
+    return f"{sum(held)} of {len(held)}"
 
 
-def _outcome(entry: Mapping[str, Any]) -> str:
-    """A run at the paper's amplitude in a few words."""
-    if entry["failure"] is not None:
-        return f"{entry['failure']['message']} (step {entry['failure']['step']})"
-    distance = entry["orbit_distance_mean"]
-    return f"{'held' if entry['held'] else 'not held'}, distance {distance:.5f}"
+def _spread(distances: Sequence[float | None]) -> str:
+    """Median of the arms that are still there, smallest to largest, and how many were lost."""
+    known = sorted(each for each in distances if each is not None)
+    lost = len(distances) - len(known)
+    told = f"{lost} lost" if lost else ""
+    if known:
+        middle = known[len(known) // 2]
+        told = f"{middle:.1e} ({known[0]:.1e} … {known[-1]:.1e}){', ' if lost else ''}{told}"
+    return told
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
-    """A row a cycle: outputs after release and at the end, phase portrait, lengths."""
+    """A row a cycle: outputs after release and at the end, phase portraits, lengths."""
     from octoarm_agents.experiments.limit_cycles_figure import draw_limit_cycles
 
     draw_limit_cycles(result, path)

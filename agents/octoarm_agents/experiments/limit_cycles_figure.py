@@ -16,38 +16,49 @@ from octoarm_agents.experiments.cycle_figures import (
     say_missing,
 )
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
-from octoarm_agents.experiments.figures import BLUE, new_figure, save_figure, write_letters
+from octoarm_agents.experiments.figures import BLUE, GREEN, new_figure, save_figure, write_letters
 
 __all__ = ["draw_limit_cycles"]
 
-_TITLES = ("after release", "at the end, target in phase", "at the end", "at the end")
+_TITLES = (
+    "plain training: after release",
+    "at the end, target in phase",
+    "at the end",
+    "weighted ridge: at the end",
+    "plain training: at the end",
+)
 
 
 def draw_limit_cycles(result: Mapping[str, Any], path: Path) -> None:
-    """A row a cycle: outputs after release and at the end, phase portrait, lengths."""
+    """A row a cycle: outputs after release and at the end, phase portraits, lengths."""
     timestep = result["body"]["timestep"]
-    figure = new_figure(13.0, 10.5)
-    grid = figure.add_gridspec(3, 4, width_ratios=(1.5, 1.5, 1.0, 1.5))
+    figure = new_figure(15.5, 10.5)
+    grid = figure.add_gridspec(3, 5, width_ratios=(1.5, 1.5, 1.0, 1.0, 1.5))
     panels = []
-    for row, (target, entry) in enumerate(result["cycles"].items()):
-        axes = [figure.add_subplot(grid[row, column]) for column in range(4)]
+    for row, (target, plain) in enumerate(result["plain"].items()):
+        axes = [figure.add_subplot(grid[row, column]) for column in range(5)]
         panels += axes
-        failure = entry["teaching_failure"] or entry["failure"]
-        series = entry["series"]
+        failure = plain["teaching_failure"] or plain["failure"][0]
+        series = plain["series"]
         for index in range(2):
             if index < len(series):
                 draw_outputs(axes[index], series[index], timestep)
             else:
                 say_missing(axes[index], failure)
         if len(series) == 2:
-            _draw_end(axes[2], entry)
-            _draw_lengths(axes[3], series[1], timestep)
+            _draw_end(axes[2], series[1], plain["distance"][0], BLUE)
+            _draw_lengths(axes[4], series[1], timestep)
         else:
             say_missing(axes[2], failure)
-            say_missing(axes[3], failure)
-        base = f"direct base, R = {entry['amplitude_deg']:g}°"
-        axes[0].set_ylabel(f"{CYCLE_LABELS[target]}\n{base}\noutput (degrees)")
-        for each in (axes[0], axes[1], axes[3]):
+            say_missing(axes[4], failure)
+        weighted = result["weighted"][target]
+        if len(weighted["series"]) == 2:
+            _draw_end(axes[3], weighted["series"][1], weighted["distance"], GREEN)
+        else:
+            say_missing(axes[3], weighted["teaching_failure"] or weighted["failure"])
+        label = f"{CYCLE_LABELS[target]}\nR = {plain['amplitude_deg'][0]:g}°"
+        axes[0].set_ylabel(f"{label}\noutput (degrees)")
+        for each in (axes[0], axes[1], axes[4]):
             each.set_xlabel("time in closed loop (s)")
     write_letters(panels)
     for panel, title in zip(panels, _TITLES, strict=False):
@@ -56,11 +67,9 @@ def draw_limit_cycles(result: Mapping[str, Any], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _draw_end(axes: Axes, entry: Mapping[str, Any]) -> None:
-    """Portrait of the end of the run."""
-    series = entry["series"][1]
-    draw_portrait(axes, series["target_deg"], [(series["outputs_deg"], BLUE)])
-    distance = entry["orbit_distance_mean"]
+def _draw_end(axes: Axes, series: Mapping[str, Any], distance: float | None, colour: str) -> None:
+    """Portrait of the end of a run."""
+    draw_portrait(axes, series["target_deg"], [(series["outputs_deg"], colour)])
     if distance is not None:
         axes.set_xlabel(f"output 1 (degrees)\nmean distance {distance:.5f} R")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["bootstrap_interval", "interquartile_mean", "summarise", "welch_p_value"]
+__all__ = ["bootstrap_interval", "format_range", "interquartile_mean", "summarise", "welch_p_value"]
 
 _RESAMPLES = 10_000
 _CONFIDENCE = 0.95
@@ -59,6 +59,12 @@ def bootstrap_interval(
     tail = 50 * (1 - _CONFIDENCE)
     low, high = np.percentile(statistic(sample[chosen], axis=1), (tail, 100 - tail))
     return [float(low), float(high)]
+
+
+def format_range(values: Sequence[float], digits: str) -> str:
+    """Smallest to largest as text; one number where both read the same."""
+    low, high = format(min(values), digits), format(max(values), digits)
+    return low if low == high else f"{low} … {high}"
 
 
 def welch_p_value(first: Sequence[float], second: Sequence[float]) -> float | None:

@@ -9,24 +9,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from octoarm_agents.experiments.cycle_settings import (
-    ACTUATORS,
-    CYCLES,
-    PAPER_BURSTS,
-)
+from octoarm_agents.experiments.cycle_settings import CYCLES, TRAININGS
 from octoarm_agents.experiments.runner import Context
 from octoarm_agents.experiments.task2_trials import disturb_cycle, teach_cycle
 from octoarm_agents.reservoir.teaching import Teaching
 
 __all__ = [
     "FOLDER",
+    "NOISE_SEEDS",
     "STEPS",
     "TRIALS",
     "TaughtCycle",
     "disturb_all",
     "fraction_recovered",
     "largest_recovered",
-    "paper_bursts",
+    "seeds_of",
     "teach_all",
     "teach_cycles",
 ]
@@ -36,7 +33,11 @@ FOLDER = "task2"
 
 STEPS = 1_000_000
 TRIALS = 10
-"""Steps of the closed loop (section 2.2.2), and seeds of the noise; the paper shows one run."""
+"""Steps of the closed loop (section 2.2.2), and seeds of the noise on the outputs; the paper shows
+one run."""
+
+NOISE_SEEDS = 5
+"""Repetitions of a plain training, each with its own noise on the lengths."""
 
 
 @dataclass(frozen=True)
@@ -83,27 +84,41 @@ class TaughtCycle:
 def teach_cycles(
     context: Context,
     targets: Iterable[str] | None = None,
-    actuators: Sequence[str] = ACTUATORS,
-) -> dict[str, dict[str, TaughtCycle]]:
+    trainings: Sequence[str] = TRAININGS,
+) -> dict[str, dict[str, list[TaughtCycle]]]:
     """Teach limit cycles as `CYCLES` says; ``--range`` replaces R.
 
     Args:
         context: of the experiment; its seed shifts those of the teachings.
         targets: names; None: all.
-        actuators: of the base.
+        trainings: of `TRAININGS`.
 
     Returns:
-        The taught cycles by target and actuator.
+        The taught cycles by target and training: `NOISE_SEEDS` of a plain one, whose noise is
+        drawn, and one that is weighted.
     """
     names = list(CYCLES) if targets is None else list(targets)
-    keys = [(target, actuator) for target in names for actuator in actuators]
-    teachings = [CYCLES[target][actuator] for target, actuator in keys]
-    if context.amplitude is not None:
-        teachings = [replace(teaching, amplitude=context.amplitude) for teaching in teachings]
-    taught: dict[str, dict[str, TaughtCycle]] = {target: {} for target in names}
-    for (target, actuator), cycle in zip(keys, teach_all(context, teachings), strict=True):
-        taught[target][actuator] = cycle
+    teachings = []
+    for target in names:
+        for training in trainings:
+            teaching = CYCLES[target][training]
+            if context.amplitude is not None:
+                teaching = replace(teaching, amplitude=context.amplitude)
+            teachings += [
+                (target, training, replace(teaching, seed=seed)) for seed in seeds_of(teaching)
+            ]
+    taught: dict[str, dict[str, list[TaughtCycle]]] = {
+        target: {training: [] for training in trainings} for target in names
+    }
+    cycles = teach_all(context, [teaching for _, _, teaching in teachings])
+    for (target, training, _), cycle in zip(teachings, cycles, strict=True):
+        taught[target][training].append(cycle)
     return taught
+
+
+def seeds_of(teaching: Teaching) -> range:
+    """Seeds with which a teaching is repeated: several where its noise is drawn."""
+    return range(NOISE_SEEDS if teaching.sampled else 1)
 
 
 def teach_all(context: Context, teachings: Sequence[Teaching]) -> list[TaughtCycle]:
@@ -113,27 +128,18 @@ def teach_all(context: Context, teachings: Sequence[Teaching]) -> list[TaughtCyc
     return [TaughtCycle(*pair) for pair in zip(seeded, results, strict=True)]
 
 
-def paper_bursts(context: Context, cycle: TaughtCycle) -> tuple[float, ...]:
-    """The paper's ε for a cycle [degrees].
-
-    The paper perturbed no Van der Pol cycle: it gets the ε of the quadratic one in proportion to
-    the amplitudes with which both are taught to the same base.
-    """
-    teaching = cycle.teaching
-    if teaching.target in PAPER_BURSTS:
-        return PAPER_BURSTS[teaching.target]
-    quadratic = context.amplitude or CYCLES["quadratic"][teaching.actuator].amplitude
-    return tuple(burst * teaching.amplitude / quadratic for burst in PAPER_BURSTS["quadratic"])
-
-
 def disturb_all(
-    context: Context, bursts: Sequence[tuple[TaughtCycle, float]], *, series: bool = False
+    context: Context,
+    bursts: Sequence[tuple[Sequence[TaughtCycle], float]],
+    *,
+    series: bool = False,
 ) -> list[list[dict[str, Any]]]:
-    """Disturb taught cycles, each with as many seeds as the context has trials.
+    """Disturb taught cycles with as many seeds of the noise as the context has trials.
 
     Args:
         context: of the experiment.
-        bursts: cycles, none of whose teachings failed, and ε [degrees].
+        bursts: the repetitions of a teaching, none of which failed, which take turns over the
+            trials; and ε [degrees].
         series: trial 0 of each is to give its outputs.
 
     Returns:
@@ -144,14 +150,14 @@ def disturb_all(
         FOLDER,
         disturb_cycle,
         [
-            cycle.settings
+            cycles[trial % len(cycles)].settings
             | {
                 "burst": burst,
                 "seed": context.seed,
                 "trial": trial,
                 "series": series and trial == 0,
             }
-            for cycle, burst in bursts
+            for cycles, burst in bursts
             for trial in range(context.trials)
         ],
     )

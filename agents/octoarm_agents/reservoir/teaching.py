@@ -1,10 +1,11 @@
 """How a readout is taught a limit cycle: teacher forcing, and a ridge weighted by the body itself.
 
-The paper adds white noise to the recorded lengths, the same on every spring (section 2.2.2). On
-average that is a ridge on the weights: it forbids large weights, whatever the springs do. But a
-body off its orbit does not move its springs like that. The deviations that occur are those that a
-disturbed base causes, in some directions many thousand times larger than in others, and a loop that
-answers to them wrongly pushes itself off the orbit (see `octoarm_agents.reservoir.floquet`).
+The paper adds white noise to the recorded lengths, the same on every spring, and takes the
+pseudo-inverse (section 2.2.2): a teaching that is `sampled`. On average that is a ridge on the
+weights: it forbids large weights, whatever the springs do. But a body off its orbit does not move
+its springs like that. The deviations that occur are those that a disturbed base causes, in some
+directions many thousand times larger than in others, and a loop that answers to them wrongly pushes
+itself off the orbit (see `octoarm_agents.reservoir.floquet`).
 
 So besides the isotropic noise ν, a readout may be taught not to answer to deviations that the body
 really has. The teacher is followed again with small disturbances of the base, one run for each of a
@@ -69,9 +70,11 @@ class Teaching:
         disturbances: κ, sizes of the base's disturbances at the `TIME_SCALES` whose effect on the
             body the readout shall not answer to [degrees]; all zero is the paper's training.
         actuator: how the base follows its command, ``"direct"`` or ``"servo"``.
+        sampled: the paper's training: draw the noise, add it to the lengths and take the
+            pseudo-inverse. Otherwise the noise stands for its expectation, a ridge.
         steps: physics steps of teacher forcing.
         washout: of them, how many are not used at the begin.
-        seed: of the disturbances.
+        seed: of the disturbances, or of the noise that is drawn.
     """
 
     target: str
@@ -79,6 +82,7 @@ class Teaching:
     noise: float
     disturbances: tuple[float, ...] = UNDISTURBED
     actuator: Literal["direct", "servo"] = "direct"
+    sampled: bool = False
     steps: int = 70_000
     washout: int = 10_000
     seed: int = 0
@@ -98,6 +102,10 @@ class Teaching:
             raise ValueError(
                 f"disturbances = {self.disturbances}: expected {len(TIME_SCALES)} numbers of "
                 "degrees, not negative"
+            )
+        if self.sampled and any(self.disturbances):
+            raise ValueError(
+                f"disturbances = {self.disturbances}: expected zeros where the noise is sampled"
             )
         if self.washout < 0:
             raise ValueError(f"washout = {self.washout}: expected 0 or more")
@@ -171,13 +179,24 @@ class Lesson:
 
     def teach(self, teaching: Teaching) -> Taught:
         """The same fit from all rows, as an estimator whose errors refer to them."""
-        noise = teaching.noise
-        readout = Readout("noise", noise=noise) if noise > 0 else Readout("pinv")
-        penalty = self._penalty(teaching.disturbances)
-        readout.fit(self._lengths, self._targets, penalty=penalty)
+        readout = self.fit(teaching)
         turn = LIMIT_CYCLES[teaching.target].period / self.run.parameters.timestep
         steps = round(_TURNS * turn)
         return Taught(teaching, readout, self.exponents(readout.weights_, steps))
+
+    def fit(self, teaching: Teaching) -> Readout:
+        """The readout alone; `noise`, `disturbances`, `sampled` and `seed` may differ."""
+        noise = teaching.noise
+        if teaching.sampled:
+            readout = Readout("pinv")
+            random = np.random.default_rng(teaching.seed)
+            drawn = random.uniform(-noise, noise, self._lengths.shape)
+            readout.fit(self._lengths + drawn, self._targets)
+        else:
+            readout = Readout("noise", noise=noise) if noise > 0 else Readout("pinv")
+            penalty = self._penalty(teaching.disturbances)
+            readout.fit(self._lengths, self._targets, penalty=penalty)
+        return readout
 
     def exponents(self, weights: Float, steps: int = 2_000) -> Float:
         """Leading Floquet exponents [1/s]; empty if the loop leaves the domain within a step.

@@ -115,7 +115,7 @@ fn eight_different_arms_on_every_instruction_set() {
 #[test]
 fn an_arm_that_fails_keeps_its_state_and_disturbs_no_neighbour() {
     let mut arms: Vec<Arm> = (0..8)
-        .map(|_| Arm::undeformed(ArmParameters::default(), Actuator::Direct).unwrap())
+        .map(|_| Arm::undeformed(ArmParameters::inertial(), Actuator::Direct).unwrap())
         .collect();
     let mut lanes = ArmLanes::new(&arms.iter().collect::<Vec<_>>()).unwrap();
     let mut failures = 0;

@@ -88,7 +88,7 @@ fn every_compartment_carries_the_weight_beyond_it() {
             assert!((tension - load).abs() < 1e-13, "{name}, {j}: {tension} N holds {load} N");
         }
         // The middle of an arm that lies across gravity carries something too.
-        assert!(axial_load(&arm, count / 2).abs() > 1e-2, "{name}");
+        assert!(axial_load(&arm, count / 2).abs() > 3e-3, "{name}");
     }
 }
 
@@ -251,7 +251,11 @@ fn an_absurd_load_is_an_error_or_an_equilibrium() {
 #[test]
 fn an_equilibrium_outside_the_domain_is_none() {
     // The first strut at 4.5 times its height: the arm could not make a step from there.
-    let parameters = ArmParameters { gravity: [0.0, 0.0, 1000.0], ..ArmParameters::default() };
+    let parameters = ArmParameters {
+        gravity: [0.0, 0.0, 1000.0],
+        arm_density: 1303.0,
+        ..ArmParameters::default()
+    };
     let message = Arm::new(parameters, Actuator::Direct).unwrap_err().to_string();
     assert!(message.contains("height of compartment 1"), "{message}");
 }

@@ -71,16 +71,17 @@ fn compare(parameters: &ArmParameters, image: &Image, drive: [f64; 2]) -> f64 {
     worst
 }
 
-fn bodies() -> [ArmParameters; 2] {
-    let hanging = ArmParameters::default();
+fn bodies() -> [ArmParameters; 3] {
+    let hanging = ArmParameters { arm_density: 1303.0, ..ArmParameters::default() };
+    let carried = ArmParameters::inertial();
     let total = ArmParameters {
         volume_force: VolumeForce::Total,
         plane_mass: 0.01,
         plane_inertia: 1e-6,
         area_scale: 10.0,
-        ..hanging.clone()
+        ..carried.clone()
     };
-    [hanging, total]
+    [hanging, carried, total]
 }
 
 #[test]
@@ -128,7 +129,7 @@ fn a_swing_about_one_axis_stays_in_its_plane() {
         // Not zero to the bit: a fused r3 q3 − (r1 q1) leaves the rounding of one product. Measured:
         // 5e-14 rad out of the plane, 9e-17 m between the radii, with the heaviest planes.
         assert!(bend < 1e-12 && skew < 1e-15, "{bend:e} rad, {skew:e} m while {swung} rad");
-        assert!(swung > 0.1, "{swung} rad");
+        assert!(swung > 0.05, "{swung} rad");
     }
 }
 

@@ -91,7 +91,7 @@ fn a_still_arm_feels_only_weight_and_buoyancy() {
     for seed in 0..20 {
         let wet = ArmParameters::default();
         // As heavy in air as the other in water.
-        let dry = ArmParameters { water_density: 0.0, arm_density: 303.0, ..wet.clone() };
+        let dry = ArmParameters { water_density: 0.0, arm_density: 110.0, ..wet.clone() };
         let mut state = swinging(&wet, seed);
         state.rates.fill([0.0; 7]);
         let still = BaseMotion::default();

@@ -18,6 +18,18 @@ pub enum TargetName {
     Lissajous,
 }
 
+impl TargetName {
+    /// The paper's R, Figures 6 to 8 \[degrees\].
+    #[must_use]
+    pub fn amplitude(self) -> f64 {
+        match self {
+            Self::Quadratic => 90.0,
+            Self::VanDerPol => 130.0,
+            Self::Lissajous => 10.0,
+        }
+    }
+}
+
 /// What the base shall follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -34,7 +46,8 @@ pub enum Target {
 pub struct EpisodeConfig {
     /// The limit cycle to follow.
     pub target: Target,
-    /// Largest |angle| of the target \[degrees\]. Without one, 20 for a named target and the
+    /// Largest |angle| of the target \[degrees\]. Without one, the paper's for a named target (its
+    /// R: 90, 130 and 10 for the quadratic, Van der Pol and Lissajous cycles, Figures 6 to 8) and the
     /// samples' own for samples; with one, samples are scaled to it.
     pub amplitude: Option<f64>,
     /// Time from one action to the next \[s\], a multiple of the arm's `timestep`.
@@ -59,7 +72,7 @@ impl Default for EpisodeConfig {
             target: Target::Named(TargetName::Quadratic),
             amplitude: None,
             control_period: 0.01,
-            actuator: Actuator::Servo,
+            actuator: Actuator::Direct,
             arm: ArmParameters::default(),
             action_range: None,
             tracking_weight: 1.0,
@@ -69,9 +82,6 @@ impl Default for EpisodeConfig {
     }
 }
 
-/// At 20 degrees random and bang-bang actions keep the arm in its domain (docs/body.md); at 30,
-/// bang-bang actions near the arm's resonances fold it back on itself.
-const DEFAULT_AMPLITUDE: f64 = 20.0;
 /// The lead-compensated clock commands at most 1.08 times the amplitude of the three targets.
 const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.3;
 /// Bounds of `amplitude` and `action_range` \[degrees\].
@@ -164,7 +174,7 @@ impl EpisodeConfig {
     pub fn orbit(&self) -> Result<Orbit, ParameterError> {
         match &self.target {
             Target::Named(name) => {
-                Ok(Orbit::named(*name, self.amplitude.unwrap_or(DEFAULT_AMPLITUDE)))
+                Ok(Orbit::named(*name, self.amplitude.unwrap_or(name.amplitude())))
             }
             Target::Samples(samples) => {
                 Orbit::from_samples(samples, self.arm.timestep, self.amplitude)

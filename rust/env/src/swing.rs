@@ -15,7 +15,7 @@ use crate::orbit::Orbit;
 /// Time in which the command grows from rest to the full orbit \[s\].
 const RAMP: f64 = 1.0;
 /// Time after the ramp in which the body forgets how it got there \[s\].
-const SETTLE: f64 = 4.0;
+const SETTLE: f64 = 12.0;
 /// Snapshots of a swing, one a control period.
 const SNAPSHOTS: usize = 256;
 /// Swings kept for environments that will be made later.

@@ -16,12 +16,12 @@ fn configs(count: usize) -> Vec<EpisodeConfig> {
     (0..count)
         .map(|index| EpisodeConfig {
             target: Target::Named(targets[index % 3]),
-            amplitude: (index % 2 == 0).then_some(15.0),
+            amplitude: Some(if index % 2 == 0 { 15.0 } else { 20.0 }),
             actuator: if index % 3 == 2 { Actuator::Direct } else { Actuator::Servo },
             control_period: if index % 3 == 2 { 0.001 } else { 0.01 },
             arm: ArmParameters {
-                area_scale: if index % 7 == 6 { 40.0 } else { 48.0 },
-                ..ArmParameters::default()
+                area_scale: if index % 7 == 6 { 1.5 } else { 1.0 },
+                ..ArmParameters::inertial()
             },
             ..EpisodeConfig::default()
         })
@@ -240,8 +240,8 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
     let steps = 300;
     let mut arms: Vec<Arm> = (0..11)
         .map(|index| {
-            let area_scale = 40.0 + index as f64;
-            let parameters = ArmParameters { area_scale, ..ArmParameters::default() };
+            let area_scale = 1.0 + 0.1 * index as f64;
+            let parameters = ArmParameters { area_scale, ..ArmParameters::inertial() };
             let actuator = if index % 2 == 0 { Actuator::Direct } else { Actuator::Servo };
             Arm::undeformed(parameters, actuator).unwrap()
         })

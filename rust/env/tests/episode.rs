@@ -1,7 +1,7 @@
 //! The episode: what the teacher earns, where it starts, how it ends, and that it is repeatable.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-use octoarm_arm::Actuator;
+use octoarm_arm::{Actuator, ArmParameters};
 use octoarm_env::{Episode, EpisodeConfig, Target, TargetName};
 
 const NAMES: [TargetName; 3] =
@@ -117,7 +117,7 @@ fn the_reward_is_bounded_and_its_terms_are_the_formula() {
     for step in 0..100 {
         let action = if step % 2 == 0 { [1.0, -1.0] } else { [-1.0, 1.0] };
         let outcome = episode.step(action).unwrap();
-        let ratio = outcome.tracking_error / 6.0;
+        let ratio = outcome.tracking_error / 27.0;
         assert!((outcome.terms.tracking - (-ratio * ratio).exp()).abs() < 1e-14);
         let change = (action[0] - before[0]).powi(2) + (action[1] - before[1]).powi(2);
         assert!((outcome.terms.action_change + 0.01 * change).abs() < 1e-15);
@@ -130,7 +130,8 @@ fn the_reward_is_bounded_and_its_terms_are_the_formula() {
 fn a_failure_ends_the_episode_and_leaves_the_last_valid_state() {
     // The base driven directly, 1 ms a step: violent enough to leave the domain.
     let mut episode = Episode::new(EpisodeConfig {
-        actuator: Actuator::Direct,
+        arm: ArmParameters::inertial(),
+        amplitude: Some(20.0),
         control_period: 0.001,
         ..EpisodeConfig::default()
     })

@@ -1,7 +1,9 @@
-//! Within the action bounds of the default environment the arm stays in its domain: 400,000 random
-//! steps and bang-bang actions from 0.5 to 10 Hz.
+//! Within the action bounds of the default environment the arm stays in its domain, on every target:
+//! 400,000 random steps and bang-bang actions from 0.5 to 10 Hz. So does the arm that its base carries
+//! along, on a servo at 20 degrees.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+use octoarm_arm::{Actuator, ArmParameters};
 use octoarm_env::{Episode, EpisodeConfig, Target, TargetName};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
@@ -24,10 +26,31 @@ fn watch(episode: &Episode, extremes: &mut Extremes) {
     }
 }
 
-fn random_steps(target: TargetName, seed: u64, steps: u32) -> Extremes {
-    let mut episode =
-        Episode::new(EpisodeConfig { target: Target::Named(target), ..EpisodeConfig::default() })
-            .unwrap();
+fn paper(target: TargetName) -> EpisodeConfig {
+    EpisodeConfig { target: Target::Named(target), ..EpisodeConfig::default() }
+}
+
+fn carried(amplitude: f64) -> EpisodeConfig {
+    EpisodeConfig {
+        arm: ArmParameters::inertial(),
+        actuator: Actuator::Servo,
+        amplitude: Some(amplitude),
+        ..EpisodeConfig::default()
+    }
+}
+
+/// The environments that are to stand everything, by name.
+fn environments() -> [(&'static str, EpisodeConfig); 4] {
+    [
+        ("quadratic", paper(TargetName::Quadratic)),
+        ("Van der Pol", paper(TargetName::VanDerPol)),
+        ("Lissajous", paper(TargetName::Lissajous)),
+        ("carried along", carried(20.0)),
+    ]
+}
+
+fn random_steps(config: EpisodeConfig, seed: u64, steps: u32) -> Extremes {
+    let mut episode = Episode::new(config).unwrap();
     episode.seed(seed);
     episode.reset();
     let mut generator = Pcg64::seed_from_u64(seed);
@@ -46,15 +69,30 @@ fn random_steps(target: TargetName, seed: u64, steps: u32) -> Extremes {
 
 #[test]
 fn four_hundred_thousand_random_steps() {
-    // The default environment in two threads, as many as the tests' machine has cores.
-    let threads: Vec<_> = (0..2)
-        .map(|seed| std::thread::spawn(move || random_steps(TargetName::Quadratic, seed, 200_000)))
+    // As many in each environment, so that each target sees a hundred thousand.
+    let threads: Vec<_> = environments()
+        .into_iter()
+        .map(|(name, config)| (name, std::thread::spawn(move || random_steps(config, 0, 100_000))))
         .collect();
-    for thread in threads {
+    for (name, thread) in threads {
         let Extremes { bend, shortest, longest } = thread.join().unwrap();
-        println!("random: bend {bend:.3} rad, lengths {shortest:.4} to {longest:.4} m");
+        println!("random, {name}: bend {bend:.3} rad, lengths {shortest:.4} to {longest:.4} m");
         // Far from the domain's limit of 2.6.
-        assert!(bend < 1.0, "{bend}");
+        assert!(bend < 1.0, "{name}: {bend}");
+    }
+}
+
+/// As many for every target of the paper's arm.
+#[test]
+#[ignore = "a million and more random steps, a minute or more"]
+fn four_hundred_thousand_random_steps_on_every_target() {
+    let threads: Vec<_> = environments()
+        .into_iter()
+        .map(|(name, config)| (name, std::thread::spawn(move || random_steps(config, 1, 400_000))))
+        .collect();
+    for (name, thread) in threads {
+        let Extremes { bend, shortest, longest } = thread.join().unwrap();
+        println!("random, {name}: bend {bend:.3} rad, lengths {shortest:.4} to {longest:.4} m");
     }
 }
 
@@ -82,31 +120,39 @@ const QUARTER_LAG: (f64, f64, f64) = (0.25, 1.0, 1.0);
 
 #[test]
 fn bang_bang_from_half_a_hertz_to_ten() {
+    let threads: Vec<_> = environments()
+        .into_iter()
+        .map(|(name, config)| std::thread::spawn(move || bang_bang_everywhere(name, config)))
+        .collect();
+    for thread in threads {
+        thread.join().unwrap();
+    }
+}
+
+fn bang_bang_everywhere(name: &str, config: EpisodeConfig) {
     let mut extremes = Extremes { bend: 0.0, shortest: 1.0, longest: 0.0 };
-    let mut episode = Episode::new(EpisodeConfig::default()).unwrap();
+    let mut episode = Episode::new(config).unwrap();
     for tenth in (5..=100).step_by(5) {
         let frequency = f64::from(tenth) / 10.0;
         for pattern in [IN_PHASE, ANTIPHASE, QUARTER_LAG] {
             episode.reset();
             let stays = bang_bang(&mut episode, frequency, pattern, &mut extremes);
-            assert!(stays, "{frequency} Hz, {pattern:?}");
+            assert!(stays, "{name}: {frequency} Hz, {pattern:?}");
         }
     }
-    println!(
-        "bang-bang: bend {:.3} rad, lengths {:.4} to {:.4} m",
-        extremes.bend, extremes.shortest, extremes.longest
-    );
+    let Extremes { bend, shortest, longest } = extremes;
+    println!("bang-bang, {name}: bend {bend:.3} rad, lengths {shortest:.4} to {longest:.4} m");
 }
 
 /// The table in docs/body.md.
 #[test]
-#[ignore = "a survey of other action ranges, five minutes"]
+#[ignore = "a survey of action ranges of the arm that is carried along, five minutes"]
 fn survey_of_action_ranges() {
     let one_axis = [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)];
     let lags = [(0.125, 1.0, 1.0), (0.375, 1.0, 1.0)];
     let patterns = [&[IN_PHASE, ANTIPHASE, QUARTER_LAG], &one_axis[..], &lags[..]].concat();
     for range in [24.0, 26.0, 28.0, 30.0, 33.0, 39.0] {
-        let config = EpisodeConfig { action_range: Some(range), ..EpisodeConfig::default() };
+        let config = EpisodeConfig { action_range: Some(range), ..carried(20.0) };
         let mut episode = Episode::new(config).unwrap();
         let mut extremes = Extremes { bend: 0.0, shortest: 1.0, longest: 0.0 };
         let mut failures = 0;

@@ -27,12 +27,6 @@ mod _core {
     use crate::errors::DomainError;
     use crate::errors::invalid;
 
-    /// The default parameters as JSON text.
-    #[pyfunction]
-    fn default_parameters() -> PyResult<String> {
-        ArmParameters::default().to_json().map_err(invalid)
-    }
-
     /// The named bodies with all their parameters, as JSON text.
     #[pyfunction]
     fn preset_parameters() -> PyResult<String> {

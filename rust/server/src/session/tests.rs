@@ -338,7 +338,7 @@ fn limits_hold_and_places_come_back() {
         assert_eq!(code(&mut second, request()).await, Code::ResourceExhausted);
         // A world that cannot be made takes no place.
         assert_eq!(code(&mut first, destroy_of(&world)).await, Code::Ok);
-        let bad = settings(&[("amplitude", doubles(vec![359.0], &[]))]);
+        let bad = settings(&[("arm", text("inertial")), ("amplitude", doubles(vec![359.0], &[]))]);
         let bad = Request::CreateWorld(CreateWorldRequest { settings: bad });
         assert_eq!(code(&mut first, bad).await, Code::InvalidArgument);
         assert_eq!(code(&mut first, request()).await, Code::Ok);
