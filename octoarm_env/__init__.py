@@ -8,7 +8,8 @@ Importing this package registers ``OctoArm-v0``::
     env = gym.make("OctoArm-v0", target="quadratic")
     envs = gym.make_vec("OctoArm-v0", num_envs=64)
 
-The body without an episode around it is :class:`Arm`, its parameters are :class:`ArmParameters`.
+The body without an episode around it is :class:`Arm`, its parameters are :class:`ArmParameters`;
+:mod:`octoarm_env.wrappers` scales observations for networks.
 """
 
 from importlib.metadata import version
@@ -20,6 +21,7 @@ from gymnasium.envs.registration import register
 # too.
 __path__ = extend_path(__path__, __name__)
 
+from octoarm_env import wrappers
 from octoarm_env._core import DomainError, instruction_set
 from octoarm_env.arm import Arm, ArmState, Energy
 from octoarm_env.arm_batch import ArmBatch, BatchRun
@@ -44,6 +46,7 @@ __all__ = [
     "TeacherPolicy",
     "VectorSnapshot",
     "instruction_set",
+    "wrappers",
 ]
 __version__ = version("octoarm-env")
 
