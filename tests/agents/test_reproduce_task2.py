@@ -13,7 +13,11 @@ from octoarm_agents.experiments.cycle_settings import (
     PAPER_FINDINGS,
     TRAININGS,
 )
-from octoarm_agents.experiments.floquet_trials import leading_exponent
+from octoarm_agents.experiments.floquet_trials import (
+    is_stable,
+    is_thrown_far,
+    leading_exponent,
+)
 from octoarm_agents.experiments.task2 import TaughtCycle, largest_recovered
 from octoarm_agents.experiments.task2_trials import (
     BURST_BEGIN,
@@ -384,13 +388,13 @@ def test_the_phase_is_left_out_of_the_exponents(exponents, expected):
 
 def test_what_can_throw_a_stable_loop_off_its_cycle():
     loop = {"leading_exponent": -0.2, "responses": [10.0, 20.0]}
-    assert floquet.is_stable(loop)
-    assert not floquet.is_thrown_far(loop)
+    assert is_stable(loop)
+    assert not is_thrown_far(loop)
     # Noise of 1e-4 R: its root mean square is 1e-4 / √3, and 5 % of R is too far.
-    assert floquet.is_thrown_far(loop | {"responses": [10.0, 900.0]})
-    assert floquet.is_thrown_far(loop | {"responses": [10.0, None]})
-    assert not floquet.is_stable(loop | {"leading_exponent": 0.4})
-    assert not floquet.is_stable(loop | {"leading_exponent": None})
+    assert is_thrown_far(loop | {"responses": [10.0, 900.0]})
+    assert is_thrown_far(loop | {"responses": [10.0, None]})
+    assert not is_stable(loop | {"leading_exponent": 0.4})
+    assert not is_stable(loop | {"leading_exponent": None})
 
 
 def test_weights_are_described_by_compartment():

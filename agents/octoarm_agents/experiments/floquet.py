@@ -24,13 +24,15 @@ from octoarm_agents.experiments.floquet_trials import (
     PHASE_ERROR,
     RESPONSE_NOISES,
     RESPONSE_TURNS,
+    is_stable,
+    is_thrown_far,
     probe_loops,
 )
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.task2 import FOLDER
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE
 
-__all__ = ["EXPERIMENT", "is_stable", "is_thrown_far"]
+__all__ = ["EXPERIMENT"]
 
 STEPS = 20_000
 AMPLITUDES = (0.5, 1.0, 1.5)
@@ -96,18 +98,6 @@ def _all_loops(
         for entry in entries:
             for loop in entry["loops"]:
                 yield target, entry, loop
-
-
-def is_stable(loop: Mapping[str, Any]) -> bool:
-    """Whether no exponent beside the phase's is above zero."""
-    exponent = loop["leading_exponent"]
-    return exponent is not None and exponent < 0
-
-
-def is_thrown_far(loop: Mapping[str, Any]) -> bool:
-    """Whether the larger noise moves a loop farther than a held cycle may be from its orbit."""
-    response = loop["responses"][-1]
-    return response is None or response * RESPONSE_NOISES[-1] / 3**0.5 > HELD_DISTANCE
 
 
 def _judge(loops: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from octoarm_agents.experiments.figures import (
     save_figure,
     write_letters,
 )
-from octoarm_agents.experiments.floquet import is_stable
+from octoarm_agents.experiments.floquet_trials import is_stable
 
 __all__ = ["draw_floquet"]
 

@@ -13,12 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.experiments.task2_trials import hold_cycle
-from octoarm_agents.reservoir.closed_loop import describe_domain_error
+from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
 from octoarm_agents.reservoir.floquet import TeacherRun
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 
-__all__ = ["PHASE_ERROR", "RESPONSE_NOISES", "leading_exponent", "noise_response", "probe_loops"]
+__all__ = [
+    "PHASE_ERROR",
+    "RESPONSE_NOISES",
+    "RESPONSE_TURNS",
+    "is_stable",
+    "is_thrown_far",
+    "leading_exponent",
+    "noise_response",
+    "probe_loops",
+]
 
 Float = NDArray[np.float64]
 
@@ -160,3 +169,15 @@ def noise_response(
     across = deviations[:, 0] * along[:, 1] - deviations[:, 1] * along[:, 0]
     across /= np.hypot(along[:, 0], along[:, 1])
     return float(np.sqrt(np.square(across[steps // 2 :]).mean())) / (half_width / math.sqrt(3))
+
+
+def is_stable(loop: Mapping[str, Any]) -> bool:
+    """Whether no exponent beside the phase's is above zero."""
+    exponent = loop["leading_exponent"]
+    return exponent is not None and exponent < 0
+
+
+def is_thrown_far(loop: Mapping[str, Any]) -> bool:
+    """Whether the larger noise moves a loop farther than a held cycle may be from its orbit."""
+    response = loop["responses"][-1]
+    return response is None or response * RESPONSE_NOISES[-1] / 3**0.5 > HELD_DISTANCE
