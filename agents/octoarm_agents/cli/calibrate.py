@@ -32,6 +32,13 @@ Jobs = Annotated[
         callback=number_between(1, 1024),
     ),
 ]
+NoiseSeeds = Annotated[
+    int,
+    typer.Option(
+        help="Trainings of each limit cycle with the paper's R and ν; 0: Table 2 alone counts.",
+        callback=number_between(0, 100),
+    ),
+]
 Arm = Annotated[
     Path | None,
     typer.Option(
@@ -79,13 +86,7 @@ def body(
             show_default="none",
         ),
     ] = None,
-    noise_seeds: Annotated[
-        int,
-        typer.Option(
-            help="Trainings of each limit cycle with the paper's R and ν; 0: Table 2 alone counts.",
-            callback=number_between(0, 100),
-        ),
-    ] = 2,
+    noise_seeds: NoiseSeeds = 2,
     trials: Annotated[
         int,
         typer.Option(
@@ -218,13 +219,7 @@ def sensitivity(
             callback=number_between(1, 1001),
         ),
     ] = 3,
-    noise_seeds: Annotated[
-        int,
-        typer.Option(
-            help="Trainings of each limit cycle with the paper's R and ν.",
-            callback=number_between(0, 100),
-        ),
-    ] = 2,
+    noise_seeds: NoiseSeeds = 2,
     ranges: Annotated[
         str | None,
         typer.Option(help="R of the teachers in degrees.", show_default="5 to 130 in ten steps"),
