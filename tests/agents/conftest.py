@@ -1,8 +1,18 @@
 """What the tests of the agents share."""
 
+from collections.abc import Iterator
+
 import pytest
 from octoarm_agents.cli import app
+from threadpoolctl import threadpool_limits
 from typer.testing import CliRunner, Result
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread_of_algebra() -> Iterator[None]:
+    """Fits are rounded as in the commands, whose trials compute their algebra in one thread."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @pytest.fixture
