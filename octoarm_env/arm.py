@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
+from octoarm_env.arguments import whole_number
 from octoarm_env.parameters import ArmParameters, BodyLike
 
 Float = NDArray[np.float64]
@@ -31,25 +32,44 @@ class ArmState:
         rates: (N, 7), their time derivatives.
         base: (4,), ``[theta, phi, theta_dot, phi_dot]`` [rad, rad/s].
         steps: physics steps since the last reset.
+        muscles: the muscle inputs (ξ_c, δ_c), each (N, 4) [N], as :attr:`Arm.muscles`; None: none.
     """
 
     coordinates: Float
     rates: Float
     base: Float
     steps: int = 0
+    muscles: tuple[Float, Float] | None = None
 
     def __eq__(self, other: object) -> bool:
         """Compare to the bit."""
         if not isinstance(other, ArmState):
             return NotImplemented
-        return (
-            self.steps == other.steps
-            and np.array_equal(self.coordinates, other.coordinates)
-            and np.array_equal(self.rates, other.rates)
-            and np.array_equal(self.base, other.base)
+        return self.steps == other.steps and all(
+            np.array_equal(own, others)
+            for own, others in zip(self._arrays(), other._arrays(), strict=True)
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+    def _arrays(self) -> tuple[Float, Float, Float, Float, Float]:
+        none = np.zeros((len(self.coordinates), 4))
+        muscles = (none, none) if self.muscles is None else _pair("state.muscles", self.muscles)
+        return self.coordinates, self.rates, self.base, *muscles
+
+    def _given(self, name: str) -> tuple[Float, Float, Float, int, tuple[Float, Float]]:
+        """Give what the compiled arm takes; errors speak of `name`."""
+        coordinates, rates, base, longitudinal, transverse = self._arrays()
+        steps = whole_number(f"{name}.steps", self.steps, 0, 2**64 - 1)
+        return coordinates, rates, base, steps, (longitudinal, transverse)
+
+
+def _pair(name: str, inputs: Any) -> tuple[Any, Any]:
+    try:
+        longitudinal, transverse = inputs
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a pair of arrays (xi_c, delta_c)") from None
+    return longitudinal, transverse
 
 
 class Arm:
@@ -132,8 +152,10 @@ class Arm:
             The spring lengths after each step, (T, 4 N) [m].
 
         Raises:
-            ValueError, TypeError: a wrong shape or dtype, or numbers that are not finite; no step
-                is made then.
+            ValueError, TypeError: a wrong shape or dtype, or numbers that are not finite.
+            MemoryError: the lengths of so many steps do not fit into memory.
+            KeyboardInterrupt: heard within a fraction of a second. No step is made then, nor after
+                the errors above.
             DomainError: see the class; its ``lengths`` are those of the steps that were made.
         """
         return self._core.run(angles)
@@ -155,10 +177,11 @@ class Arm:
             [degrees], and the spring lengths after each step, (steps, 4 N) [m].
 
         Raises:
-            ValueError, TypeError: as :meth:`run`.
+            ValueError, TypeError, MemoryError, KeyboardInterrupt: as :meth:`run`.
             DomainError: see the class; its ``outputs`` and ``lengths`` are those of the steps that
                 were made.
         """
+        steps = whole_number("steps", steps, 0, 2**63 - 1)
         return self._core.run_closed_loop(weights, steps, perturbation)
 
     @property
@@ -175,7 +198,7 @@ class Arm:
     def state(self, state: ArmState) -> None:
         if not isinstance(state, ArmState):
             raise TypeError(f"state must be an ArmState, not {type(state).__name__}")
-        self._core.set_state(state.coordinates, state.rates, state.base, state.steps)
+        self._core.set_state(state._given("state"))
 
     @property
     def muscles(self) -> tuple[Float, Float]:
@@ -187,11 +210,7 @@ class Arm:
 
     @muscles.setter
     def muscles(self, inputs: tuple[ArrayLike, ArrayLike]) -> None:
-        try:
-            longitudinal, transverse = inputs
-        except (TypeError, ValueError):
-            raise TypeError("muscles must be a pair of arrays (xi_c, delta_c)") from None
-        self._core.set_muscles(longitudinal, transverse)
+        self._core.set_muscles(*_pair("muscles", inputs))
 
     def energy(self) -> Energy:
         """Kinetic energy of all masses (world frame) and elastic energy of all springs [J]."""
@@ -224,14 +243,12 @@ class Arm:
         return {
             "parameters": self._parameters,
             "actuator": self._actuator,
-            "state": self._core.get_state(),
-            "muscles": self._core.get_muscles(),
+            "state": self.state,
         }
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__init__(saved["parameters"], saved["actuator"], undeformed=True)  # type: ignore[misc]
-        self._core.set_muscles(*saved["muscles"])
-        self._core.set_state(*saved["state"])
+        self.state = saved["state"]
 
     def __repr__(self) -> str:
         theta, phi = self.base_angles

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
+from octoarm_env.arguments import thread_count, whole_number
 from octoarm_env.arm import Arm, ArmState
 
 Float = NDArray[np.float64]
@@ -53,7 +54,7 @@ class ArmBatch:
             if not isinstance(arm, Arm):
                 raise TypeError(f"arms[{index}] must be an Arm, not {type(arm).__name__}")
         self._arms = len(arms)
-        self._core = _core.ArmBatch([arm._core for arm in arms], threads)
+        self._core = _core.ArmBatch([arm._core for arm in arms], thread_count(threads))
 
     def __len__(self) -> int:
         return self._arms
@@ -74,7 +75,7 @@ class ArmBatch:
             if not isinstance(state, ArmState):
                 raise TypeError(f"states[{index}] must be an ArmState, not {type(state).__name__}")
         self._core.set_states(
-            [(state.coordinates, state.rates, state.base, state.steps) for state in states]
+            [state._given(f"states[{index}]") for index, state in enumerate(states)]
         )
 
     def run(self, angles: ArrayLike, *, stride: int = 1) -> BatchRun:
@@ -90,8 +91,12 @@ class ArmBatch:
 
         Raises:
             ValueError, TypeError: a wrong shape or dtype, numbers that are not finite, or angles
-                beyond ±3600 degrees; no step is made then.
+                beyond ±3600 degrees.
+            MemoryError: the lengths of so many steps do not fit into memory.
+            KeyboardInterrupt: heard within a fraction of a second. No step is made then, nor after
+                the errors above.
         """
+        stride = whole_number("stride", stride, 1, 2**63 - 1)
         lengths, (steps, failures) = self._core.run(angles, stride)
         return BatchRun(lengths, steps, tuple(failures))
 
@@ -115,8 +120,10 @@ class ArmBatch:
             Lengths, steps, failures and outputs, as :meth:`run`.
 
         Raises:
-            ValueError, TypeError: as :meth:`run`.
+            ValueError, TypeError, MemoryError, KeyboardInterrupt: as :meth:`run`.
         """
+        steps = whole_number("steps", steps, 0, 2**63 - 1)
+        stride = whole_number("stride", stride, 1, 2**63 - 1)
         outputs, lengths, (made, failures) = self._core.run_closed_loop(
             weights, steps, perturbation, stride
         )

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
+from octoarm_env.arguments import generator_seed
 from octoarm_env.episode import EpisodeCore
 from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
@@ -117,7 +118,8 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
 
     Wrong arguments raise a ValueError or TypeError that names the argument, its value and its range.
     So does an action that is not two finite numbers in [-1, 1]; the episode is then unchanged
-    (use `gymnasium.wrappers.ClipAction` for a policy that overshoots). The same seed gives the same
+    (use `gymnasium.wrappers.ClipAction` for a policy that overshoots; what rounding in single
+    precision adds to a bound is clipped). The same seed gives the same
     bits, on every machine. pickle and deepcopy continue an episode exactly where it stands.
 
     Many environments at once: `gym.make_vec("OctoArm-v0", num_envs=64)` makes the native batch,
@@ -195,7 +197,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         phase = phase_option(options)
         super().reset(seed=seed)
         if seed is not None:
-            self._core.seed(seed % 2**64)
+            self._core.seed(generator_seed(seed))
         elif not self._seeded:
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True
@@ -248,6 +250,20 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         """Close the window, if there is one; the arm could go on."""
         self._pictures.close()
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """What draws the seed of the first reset without one.
+
+        After another was assigned, the next reset without a seed draws one from it.
+        """
+        return super().np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random = value
+        self._np_random_seed = -1
+        self._seeded = False
+
     def teacher_action(self) -> Float:
         """Give the lead-compensated clock's action now, (2,); it depends on the time alone."""
         return self._core.teacher_action()
@@ -298,9 +314,6 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         state = self.__dict__.copy()
         core = state.pop("_core")
         state["_saved"] = (core.config, core.save())
-        # A shallow copy, too, has a core, and with it a past, of its own.
-        for name in ("_history", "_pictures"):
-            state[name] = copy.deepcopy(state[name])
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -308,3 +321,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         self.__dict__.update(state)
         self._core = self._episode(config)
         self._core.load(episode)
+
+    def __copy__(self) -> OctoArmEnv:
+        """Give an independent environment, as deepcopy does: half a copy would share its past."""
+        return copy.deepcopy(self)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from octoarm_env.arguments import number
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.targets import TARGET_NAMES
 
-__all__ = ["episode_settings", "number", "phase_option"]
+__all__ = ["episode_settings", "phase_option"]
 
 
 def episode_settings(
@@ -33,11 +35,11 @@ def episode_settings(
     return json.dumps(
         {
             "target": _target(target),
-            "amplitude": number("amplitude", amplitude, optional=True),
+            "amplitude": None if amplitude is None else number("amplitude", amplitude),
             "control_period": number("control_period", control_period),
             "actuator": _actuator(actuator),
             "arm": ArmParameters.of(arm).to_dict(),
-            "action_range": number("action_range", action_range, optional=True),
+            "action_range": None if action_range is None else number("action_range", action_range),
             "tracking_weight": number("tracking_weight", tracking_weight),
             "reward_width": number("reward_width", reward_width),
             "action_change_weight": number("action_change_weight", action_change_weight),
@@ -47,8 +49,10 @@ def episode_settings(
 
 def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     """Give the phase among reset options; options other than "phase" and `others` are refused."""
-    if not options:
+    if options is None:
         return None
+    if not isinstance(options, Mapping):
+        raise TypeError(f"options must be a mapping, not {type(options).__name__}")
     unknown = sorted(set(options) - {"phase", *others})
     if unknown:
         known = " and ".join(repr(name) for name in ("phase", *others))
@@ -57,18 +61,6 @@ def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     if "phase" not in options:
         return None
     return number("options['phase']", options["phase"])
-
-
-def number(name: str, value: Any, *, optional: bool = False) -> float | None:
-    """Give a finite number, or None where that is allowed."""
-    if value is None and optional:
-        return None
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
-        raise TypeError(f"{name} = {value!r}: expected a number")
-    result = float(value)
-    if not np.isfinite(result):
-        raise ValueError(f"{name} = {result}: expected a finite number")
-    return result
 
 
 def _actuator(value: Any) -> str:
@@ -89,6 +81,8 @@ def _target(value: Any) -> str | list[list[float]]:
         raise TypeError(f"target must be a name or an array of numbers, not dtype {samples.dtype}")
     if samples.ndim != 2 or samples.shape[1] != 2:
         raise ValueError(f"target has shape {samples.shape}, expected (T, 2)")
+    if np.ma.is_masked(value):
+        raise TypeError("target must be an array of numbers, not one with masked entries")
     if not np.isfinite(samples).all():
         raise ValueError("target holds numbers that are not finite")
     rows: list[list[float]] = samples.astype(np.float64).tolist()

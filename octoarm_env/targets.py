@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_env import _core
+from octoarm_env.arguments import number, whole_number
 
 Float = NDArray[np.float64]
 TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
@@ -48,9 +48,12 @@ class LimitCycle:
 
         Returns:
             (T, 2), θ and φ [degrees].
+
+        Raises:
+            ValueError, TypeError: another number of steps or amplitude.
+            MemoryError: so many steps do not fit into memory.
         """
-        if steps < 1:
-            raise ValueError(f"steps = {steps}: expected at least 1")
+        steps = whole_number("steps", steps, 1, 2**63 - 1)
         return _core.limit_cycle_signal(self.name, _positive(amplitude), steps)
 
     def orbit(self, amplitude: float) -> Float:
@@ -70,10 +73,11 @@ class LimitCycle:
         return _core.limit_cycle_orbit(self.name, 1.0)[1]
 
 
-def _positive(amplitude: float) -> float:
-    if not (amplitude > 0 and math.isfinite(amplitude)):
-        raise ValueError(f"amplitude = {amplitude}: expected a positive number of degrees")
-    return amplitude
+def _positive(amplitude: Any) -> float:
+    value = number("amplitude", amplitude)
+    if value <= 0:
+        raise ValueError(f"amplitude = {value}: expected a positive number of degrees")
+    return value
 
 
 LIMIT_CYCLES: dict[str, LimitCycle] = {name: LimitCycle(name) for name in TARGET_NAMES}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal
 
@@ -17,6 +16,7 @@ from gymnasium.vector.utils import batch_differing_spaces, batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
+from octoarm_env.arguments import generator_seed, thread_count, whole_number
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
@@ -42,12 +42,19 @@ class VectorSnapshot:
     Attributes:
         episodes: the episodes' states as JSON text, exact to the bit.
         seeds: the seeds that the environments were last given.
-        past: what the pictures show of the past; None without a render mode.
+        past: what the pictures show of the past; None without a render mode. Snapshots are equal
+            whatever their pictures show.
+        generator: what draws the seeds of environments that were not given one; None if all were.
     """
 
     episodes: str = dataclasses.field(repr=False)
     seeds: tuple[int | None, ...]
-    past: tuple[BatchHistory, Flags] | None = dataclasses.field(default=None, repr=False)
+    past: tuple[BatchHistory, Flags] | None = dataclasses.field(
+        default=None, repr=False, compare=False
+    )
+    generator: np.random.Generator | None = dataclasses.field(
+        default=None, repr=False, compare=False
+    )
 
 
 class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[Any]]):
@@ -114,7 +121,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ) -> None:
-        self.num_envs = _count("num_envs", num_envs)
+        self.num_envs = whole_number("num_envs", num_envs, 1)
         self.render_mode = render_mode
         mode = AutoresetMode(autoreset_mode)
         self.metadata = OctoArmEnv.metadata | {
@@ -141,8 +148,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         if max_episode_steps == -1:
             max_episode_steps = None
         elif max_episode_steps is not None:
-            max_episode_steps = _count("max_episode_steps", max_episode_steps)
-        self._arguments = (settings, max_episode_steps, _AUTORESET[mode], threads)
+            max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, 2**63 - 1)
+        self._arguments = (settings, max_episode_steps, _AUTORESET[mode], thread_count(threads))
         self._core = _core.EpisodeBatch(*self._arguments)
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
@@ -195,8 +202,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
                 seeds[index] = int(self.np_random.integers(2**63))
         result = self._core.reset(
             None if mask is None else mask.tolist(),
-            # As in a single environment, whose generator takes 64 bits.
-            [None if given is None else given % 2**64 for given in seeds],
+            [None if given is None else generator_seed(given) for given in seeds],
             phase,
         )
         for index, given in enumerate(seeds):
@@ -234,7 +240,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     def snapshot(self) -> VectorSnapshot:
         """Save the whole batch, to go on from here later."""
         past = None if self._history is None else (copy.deepcopy(self._history), self._over.copy())
-        return VectorSnapshot(self._core.save(), tuple(self._seeds), past)
+        generator = copy.deepcopy(self.np_random) if None in self._seeds else None
+        return VectorSnapshot(self._core.save(), tuple(self._seeds), past, generator)
 
     def restore(self, snapshot: VectorSnapshot) -> None:
         """Go on exactly where a batch with the same arguments was saved.
@@ -248,6 +255,8 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             raise TypeError(f"snapshot must be a VectorSnapshot, not {kind}")
         self._core.load(snapshot.episodes)
         self._seeds = list(snapshot.seeds)
+        if snapshot.generator is not None:
+            self._np_random = copy.deepcopy(snapshot.generator)
         if self._history is not None:
             self._history, self._over = copy.deepcopy(snapshot.past) or self._no_past()
 
@@ -259,6 +268,19 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     def threads(self) -> int:
         """Number of threads that share a step, the calling one included."""
         return self._core.threads
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """What draws the seeds of environments that are first reset without one.
+
+        After another was assigned, every environment draws a seed from it at its next reset.
+        """
+        return super().np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random = value
+        self._seeds = [None] * self.num_envs
 
     @property
     def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
@@ -410,18 +432,15 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             if len(seed) != self.num_envs:
                 raise ValueError(f"seed has {len(seed)} entries, expected {self.num_envs}")
             return [
-                None if each is None else _seed(f"seed[{index}]", each)
+                None if each is None else whole_number(f"seed[{index}]", each, 0)
                 for index, each in enumerate(seed)
             ]
-        first = _seed("seed", seed)
+        first = whole_number("seed", seed, 0)
         return [first + index for index in range(self.num_envs)]
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
         state["_core"] = state["_core"].save()
-        # A shallow copy, too, has a core, and with it a past, of its own.
-        for name in ("_history", "_pictures", "_over"):
-            state[name] = copy.deepcopy(state[name])
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -429,23 +448,9 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self._core = _core.EpisodeBatch(*self._arguments)
         self._core.load(state["_core"])
 
-
-def _integer(name: str, value: Any, wanted: str, least: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise TypeError(f"{name} = {value!r}: expected {wanted}") from None
-    if isinstance(value, bool) or number < least:
-        raise ValueError(f"{name} = {value}: expected {wanted}")
-    return number
-
-
-def _count(name: str, value: Any) -> int:
-    return _integer(name, value, "a positive whole number", 1)
-
-
-def _seed(name: str, value: Any) -> int:
-    return _integer(name, value, "a whole number, 0 or more", 0)
+    def __copy__(self) -> OctoArmVectorEnv:
+        """Give an independent batch, as deepcopy does: half a copy would share seeds and past."""
+        return copy.deepcopy(self)
 
 
 def _is_sequence(value: Any) -> bool:

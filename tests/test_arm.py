@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 
 import numpy as np
 import pytest
 
-from octoarm_env import Arm, ArmParameters, ArmState, DomainError
+from octoarm_env import Arm, ArmBatch, ArmParameters, ArmState, DomainError
 
 
 def swing(steps: int, reach: float = 20.0) -> np.ndarray:
@@ -67,6 +68,33 @@ def test_direct_base_is_where_it_was_commanded_and_servo_follows_its_equation() 
     omega_t = 2 * np.pi * 12.0 * 0.03
     expected = 10.0 * (1.0 - (1.0 + omega_t) * np.exp(-omega_t))
     np.testing.assert_allclose(arm.base_angles[0], expected, rtol=1e-12)
+
+
+def test_a_state_holds_the_muscle_inputs() -> None:
+    arm, rng = Arm(), np.random.default_rng(0)
+    arm.muscles = rng.uniform(-0.05, 0.05, (2, 20, 4))
+    arm.run(np.zeros((40, 2)))
+    state = arm.state
+    assert np.array_equal(state.muscles, arm.muscles)
+    expected = arm.run(np.zeros((40, 2)))
+    arm.muscles = np.zeros((2, 20, 4))
+    assert arm.state != dataclasses.replace(arm.state, muscles=state.muscles)
+    batch = ArmBatch([arm, arm])
+    batch.states = [state, dataclasses.replace(state, muscles=None)]
+    runs = batch.run(np.zeros((40, 2))).lengths
+    arm.state = state
+    assert np.array_equal(arm.run(np.zeros((40, 2))), expected)
+    assert np.array_equal(runs[0], expected)
+    assert not np.array_equal(runs[1], expected)
+    arm.state = dataclasses.replace(state, muscles=None)
+    assert not np.any(arm.muscles)
+    assert arm.state == dataclasses.replace(state, muscles=None)
+    for bad, words in [((np.zeros((19, 4)),) * 2, r"muscles\[0\] has shape \(19, 4\)")]:
+        with pytest.raises(ValueError, match=words):
+            arm.state = dataclasses.replace(state, muscles=bad)
+    for steps in (-1, 2**64):
+        with pytest.raises(ValueError, match=f"state.steps = {steps}"):
+            arm.state = dataclasses.replace(state, steps=steps)
 
 
 def test_state_pickle_and_deepcopy_go_on_with_the_same_bits() -> None:
@@ -146,7 +174,9 @@ def test_leaving_the_domain_names_the_limit_and_keeps_the_last_state() -> None:
             ValueError,
             r"perturbation has shape \(4, 2\)",
         ),
-        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 2**62), ValueError, "steps"),
+        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 2**62), MemoryError, "steps = 4611"),
+        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 2**70), ValueError, "steps = 1180"),
+        (lambda arm: arm.run_closed_loop(np.zeros((80, 2)), 10.0), TypeError, r"steps = 10\.0"),
         (
             lambda arm: setattr(arm, "muscles", (np.zeros((20, 3)), np.zeros((20, 4)))),
             ValueError,

@@ -74,18 +74,18 @@ def test_closed_loop() -> None:
 
 @pytest.mark.parametrize("stride", [7, 300, STEPS, 2 * STEPS])
 def test_lengths_of_every_few_steps(stride: int) -> None:
-    angles, weights = drives(3), np.zeros((80, 2))
-    whole, thin = ArmBatch(arms(3)), ArmBatch(arms(3))
+    angles, weights = drives(9), np.zeros((80, 2))
+    whole, thin = ArmBatch(arms(9)), ArmBatch(arms(9))
     every, some = whole.run(angles), thin.run(angles, stride=stride)
-    assert some.lengths.shape == (3, STEPS // stride, 80)
+    assert some.lengths.shape == (9, STEPS // stride, 80)
     assert np.array_equal(some.lengths, every.lengths[:, stride - 1 :: stride])
-    assert some.steps.tolist() == [STEPS] * 3
+    assert some.steps.tolist() == [STEPS] * 9
     assert whole.states == thin.states
     every = whole.run_closed_loop(weights, 700, 0.01 * angles[:, :700])
     some = thin.run_closed_loop(weights, 700, 0.01 * angles[:, :700], stride=stride)
     assert np.array_equal(some.lengths, every.lengths[:, stride - 1 :: stride])
     assert np.array_equal(some.outputs, every.outputs)
-    with pytest.raises(ValueError, match="stride = 0: expected 1 to"):
+    with pytest.raises(ValueError, match="stride = 0: expected a whole number from 1 to"):
         thin.run(angles, stride=0)
 
 
@@ -150,10 +150,18 @@ def test_bad_input_is_named() -> None:
         (np.zeros((79, 2)), 5, None, "weights has shape"),
         (np.zeros((80, 2)), -1, None, "steps = -1"),
         (np.zeros((80, 2)), 5, np.zeros((4, 2)), "perturbation has 4 rows, expected 5"),
-        (np.zeros((80, 2)), 10**15, None, "not enough memory"),
+        (np.zeros((80, 2)), 2**64, None, "steps = 18446744073709551616"),
     ]:
         with pytest.raises(ValueError, match=words):
             batch.run_closed_loop(weights, count, push)
+    with pytest.raises(MemoryError, match="outputs of 1000000000000000 steps"):
+        batch.run_closed_loop(np.zeros((80, 2)), 10**15)
+    for stride, error in [(0, ValueError), (1.0, TypeError), (2**70, ValueError)]:
+        with pytest.raises(error, match=f"stride = {stride}"):
+            batch.run(np.zeros((5, 2)), stride=stride)
+    for threads, error in [(1.5, TypeError), (2**70, ValueError), (True, TypeError)]:
+        with pytest.raises(error, match=f"threads = {threads}"):
+            ArmBatch([Arm()], threads=threads)
     assert batch.states == before
     with pytest.raises(TypeError, match="cannot be pickled"):
         pickle.dumps(batch)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_checker import data_equivalence as equivalent
+from gymnasium.wrappers import RescaleAction
 
 import octoarm_env
 from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy, _core
@@ -139,12 +140,17 @@ def test_targets_and_arguments() -> None:
         ({"tracking_weight": -2}, ValueError, "tracking_weight = -2"),
         ({"action_change_weight": None}, TypeError, "action_change_weight"),
         ({"render_mode": "ansi"}, ValueError, "render_mode = 'ansi'.*'human', 'rgb_array'"),
-        ({"width": 15}, ValueError, "width = 15: expected 16 to 4096"),
+        ({"width": 15}, ValueError, "width = 15: expected a whole number from 16 to 4096"),
         ({"height": 480.0}, TypeError, "height = 480.0: expected a whole number"),
         ({"camera": "moon"}, ValueError, "camera = 'moon'.*'perspective'"),
         ({"camera": 3}, TypeError, "camera = 3"),
         ({"overlay": "no"}, TypeError, "overlay = 'no'"),
         ({"colour": 3}, TypeError, "colour"),
+        (
+            {"target": [[20.0, 0.0], [0.0, 20.0], [-20.0, 0.0], [0.0, -20.0]], "arm": "inertial"},
+            ValueError,
+            "target = 4 rows of up to 20 degrees, one a physics step of 0.001 s, so a period",
+        ),
     ],
 )
 def test_bad_arguments_are_named(arguments: dict, kind: type[Exception], words: str) -> None:
@@ -158,6 +164,7 @@ def test_bad_arguments_are_named(arguments: dict, kind: type[Exception], words: 
         (np.array([np.nan, 0.0]), ValueError, r"action\[0\] = NaN"),
         (np.array([0.0, np.inf], np.float32), ValueError, r"action\[1\] = inf"),
         (np.array([0.0, 1.5]), ValueError, r"action\[1\] = 1.5 .*\[-1, 1\]"),
+        (np.array([0.0, 1.000002]), ValueError, r"action\[1\] = 1.000002 .*\[-1, 1\]"),
         (np.zeros(3), ValueError, r"action has shape \(3,\)"),
         (np.zeros((1, 2)), ValueError, r"action has shape \(1, 2\)"),
         (0.5, ValueError, "action has shape"),
@@ -205,6 +212,53 @@ def test_pickle_and_deepcopy_go_on_with_the_same_bits() -> None:
     for twin in twins:
         got = [twin.step(action) for _ in range(30)] + [twin.reset(), twin.step(action)]
         assert equivalent(got, expected, exact=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*precision lowered by casting:UserWarning")
+def test_rounding_past_a_bound_is_clipped() -> None:
+    """Wrappers that scale actions round in single precision."""
+    wrapped = RescaleAction(OctoArmEnv(), -5.0, 3.2)
+    twin = OctoArmEnv()
+    wrapped.reset(seed=1)
+    twin.reset(seed=1)
+    scaled = wrapped.action(wrapped.action_space.high)
+    assert scaled[0] > 1.0
+    one = twin.step(np.ones(2, np.float32))
+    assert equivalent(wrapped.step(wrapped.action_space.high), one, exact=True)
+    assert _core.check_step(scaled, True).tolist() == [1.0, 1.0]
+
+
+def test_every_copy_is_an_environment_of_its_own() -> None:
+    env = OctoArmEnv()
+    env.reset(seed=3)
+    twin = copy.copy(env)
+    twin.action_space.seed(1)
+    twin.np_random.random()
+    assert env.np_random.bit_generator.state != twin.np_random.bit_generator.state
+    twin.step(np.zeros(2))
+    expected = OctoArmEnv()
+    expected.reset(seed=3)
+    action = np.full(2, 0.5)
+    assert equivalent(env.step(action), expected.step(action), exact=True)
+
+
+def test_every_seed_counts() -> None:
+    env = OctoArmEnv()
+    seeds = [5, 2**64 + 5, 2**65 + 5, 2**64 - 1]
+    starts = [[env.reset(seed=seed)[0], env.reset()[0], env.reset()[0]] for seed in seeds]
+    assert len({np.array(start).tobytes() for start in starts}) == len(seeds)
+
+
+def test_an_assigned_generator_draws_the_next_seed() -> None:
+    env = OctoArmEnv()
+    env.reset(seed=0)
+    starts = []
+    for seed in (1, 2, 1):
+        env.np_random = np.random.default_rng(seed)
+        assert env.np_random_seed == -1
+        starts.append(np.array([env.reset()[0], env.reset()[0]]))
+    assert np.array_equal(starts[0], starts[2])
+    assert not np.array_equal(starts[0], starts[1])
 
 
 def test_observations_are_fresh_and_in_bounds() -> None:

@@ -20,7 +20,7 @@ from gymnasium.utils.env_checker import data_equivalence as equivalent
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 import octoarm_env
-from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
+from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv, TeacherPolicy
 from octoarm_env.testing import check_vector_env
 
 MODES = list(AutoresetMode)
@@ -235,7 +235,7 @@ def test_fuzzed_actions() -> None:
     envs.reset(seed=1)
     twin.reset(seed=1)
     rng = np.random.default_rng(0)
-    poisons = [np.nan, np.inf, -np.inf, 1.0000001, -3.0, 1e300]
+    poisons = [np.nan, np.inf, -np.inf, 1.000001, -3.0, 1e300]
     for action, _ in zip(actions(4), range(300), strict=False):
         fuzzed = action.astype(np.float64)
         fuzzed[rng.integers(4), rng.integers(2)] = poisons[rng.integers(len(poisons))]
@@ -247,12 +247,16 @@ def test_fuzzed_actions() -> None:
 @pytest.mark.parametrize(
     ("arguments", "kind", "words"),
     [
-        ({"num_envs": 0}, ValueError, "num_envs = 0: expected a positive"),
+        ({"num_envs": 0}, ValueError, "num_envs = 0: expected a whole number from 1"),
         ({"num_envs": 2.5}, TypeError, "num_envs = 2.5"),
-        ({"threads": 0}, ValueError, r"threads = 0 .*\[1, 1024\]"),
+        ({"threads": 0}, ValueError, "threads = 0: .* 1 to 1024"),
         ({"threads": -1}, ValueError, "threads = -1"),
         ({"threads": "all"}, TypeError, "threads|int"),
         ({"max_episode_steps": 0}, ValueError, "max_episode_steps = 0"),
+        ({"max_episode_steps": 2**63}, ValueError, f"max_episode_steps = {2**63}: .*{2**63 - 1}"),
+        ({"max_episode_steps": 7.0}, TypeError, "max_episode_steps = 7.0"),
+        ({"threads": 2**70}, ValueError, f"threads = {2**70}: .* 1 to 1024"),
+        ({"threads": 1.5}, TypeError, "threads = 1.5"),
         ({"autoreset_mode": "Sometimes"}, ValueError, "Sometimes"),
         ({"target": ["quadratic"] * 2}, ValueError, "target has 2 entries, expected one or 3"),
         ({"target": ["quadratic", "circle", "lissajous"]}, ValueError, "target = 'circle'"),
@@ -267,7 +271,7 @@ def test_fuzzed_actions() -> None:
         ),
         ({"actuator": "magic"}, ValueError, "actuator = 'magic'"),
         ({"render_mode": "human"}, ValueError, "render_mode = 'human'.*'rgb_array'"),
-        ({"width": 5000}, ValueError, "width = 5000: expected 16 to 4096"),
+        ({"width": 5000}, ValueError, "width = 5000: expected a whole number from 16 to 4096"),
     ],
 )
 def test_bad_arguments_are_named(arguments: dict, kind: type[Exception], words: str) -> None:
@@ -343,6 +347,54 @@ def test_saved_batches_go_on_with_the_same_bits(mode: AutoresetMode) -> None:
     with pytest.raises(ValueError, match=r"\(9,\), expected \(2,\)"):
         native(2).restore(snapshot)
     assert envs.snapshot() == before
+
+
+def test_limits_beyond_32_bits() -> None:
+    envs = native(1, max_episode_steps=2**40)
+    envs.reset(seed=0)
+    assert not any(step[3].any() for step in steps(envs, 5))
+
+
+def test_every_copy_is_a_batch_of_its_own() -> None:
+    envs = native(2)
+    envs.reset(seed=3)
+    twin = copy.copy(envs)
+    twin.reset(seed=[8, None])
+    twin.set_attr("label", "twin")
+    assert envs.np_random_seed == (3, 4)
+    assert twin.np_random_seed == (8, 4)
+    with pytest.raises(AttributeError):
+        envs.get_attr("label")
+    assert twin.np_random is not envs.np_random
+
+
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+def test_snapshots_compare_and_hash(render_mode: str | None) -> None:
+    envs = native(2, render_mode=render_mode)
+    # Before the first reset, what draws the seeds belongs to the snapshot too.
+    before = envs.snapshot()
+    start = envs.reset()[0]
+    envs.restore(before)
+    assert np.array_equal(envs.reset()[0], start)
+    one, two = envs.snapshot(), envs.snapshot()
+    assert one == two
+    assert len({one, two, before}) == 2
+    for _ in steps(envs, 1):
+        pass
+    assert envs.snapshot() != one
+
+
+def test_seeds_and_generators_are_those_of_single_environments() -> None:
+    envs, single = native(2), OctoArmEnv()
+    for seed in (2**64 - 1, 2**64 + 3):
+        starts = envs.reset(seed=seed)[0]
+        assert np.array_equal(starts, [single.reset(seed=seed + i)[0] for i in range(2)])
+    starts = []
+    for seed in (1, 2, 1):
+        envs.np_random = np.random.default_rng(seed)
+        starts.append(envs.reset()[0])
+    assert np.array_equal(starts[0], starts[2])
+    assert not np.array_equal(starts[0], starts[1])
 
 
 def test_unseeded_batches_differ() -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import operator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from octoarm_env.arguments import whole_number
 
 __all__ = ["CAMERAS", "LARGEST", "Camera", "Stage", "View", "find_camera", "picture_size"]
 
@@ -17,8 +18,8 @@ Float = NDArray[np.float64]
 _FIELD_OF_VIEW = 30.0
 """Angle between the upper and the lower edge of the stage [degrees]."""
 
-LARGEST = 4096
-"""Longest side of a picture [pixels]."""
+SMALLEST, LARGEST = 16, 4096
+"""Sides of a picture [pixels]."""
 
 _RANGES = {
     "azimuth": (-math.inf, math.inf),
@@ -111,16 +112,10 @@ def picture_size(width: Any, height: Any) -> tuple[int, int]:
     Raises:
         ValueError, TypeError: not whole numbers from 16 to 4096, by name.
     """
-    for name, value in (("width", width), ("height", height)):
-        try:
-            number = operator.index(value)
-        except TypeError:
-            number = -1
-        if isinstance(value, bool) or number == -1:
-            raise TypeError(f"{name} = {value!r}: expected a whole number of pixels")
-        if not 16 <= number <= LARGEST:
-            raise ValueError(f"{name} = {value}: expected 16 to {LARGEST} pixels")
-    return operator.index(width), operator.index(height)
+    return (
+        whole_number("width", width, SMALLEST, LARGEST),
+        whole_number("height", height, SMALLEST, LARGEST),
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

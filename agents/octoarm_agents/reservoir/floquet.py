@@ -15,6 +15,7 @@ stability is needed: the nominal arm is forced by the teacher, only the deviatio
 from __future__ import annotations
 
 import copy
+import dataclasses
 from typing import Literal
 
 import numpy as np
@@ -199,9 +200,9 @@ def _assign(probe: Arm, arm: Arm, vector: Float) -> None:
     """Put `probe` into the state of `vector`, at the time of `arm`."""
     state = arm.state
     size = state.coordinates.size
-    probe.state = type(state)(
-        vector[:size].reshape(state.coordinates.shape),
-        vector[size : 2 * size].reshape(state.rates.shape),
-        vector[2 * size :],
-        state.steps,
+    probe.state = dataclasses.replace(
+        state,
+        coordinates=vector[:size].reshape(state.coordinates.shape),
+        rates=vector[size : 2 * size].reshape(state.rates.shape),
+        base=vector[2 * size :],
     )

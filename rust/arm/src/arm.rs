@@ -97,12 +97,10 @@ impl Arm {
             Some(state) => Arc::clone(state),
             None => Arc::new(static_equilibrium(self.parameters(), self.lane.instructions)?),
         };
-        let before = (self.state(), self.muscles());
-        self.clear_muscles();
+        let before = self.state();
         self.lane.restore(0, &state);
         if let Some(failure) = self.lane.present_failure(0) {
-            self.lane.restore(0, &before.0);
-            self.set_muscles(&before.1.0, &before.1.1)?;
+            self.lane.restore(0, &before);
             return Err(ParameterError::NoEquilibrium { reason: failure.to_string() });
         }
         self.equilibrium = Some(state);
@@ -111,12 +109,7 @@ impl Arm {
 
     /// Back to rest with every spring at its rest length, θ = φ = 0, without muscle inputs.
     pub fn reset_undeformed(&mut self) {
-        self.clear_muscles();
         self.lane.restore(0, &ArmState::undeformed(self.lane.parameters(0)));
-    }
-
-    fn clear_muscles(&mut self) {
-        self.lane.clear_muscles();
     }
 
     /// The complete state.

@@ -186,6 +186,18 @@ impl<const L: usize> Engine<L> {
         engine
     }
 
+    /// What [`Engine::new`] asks for on the heap \[bytes\], and a quarter more for the allocator.
+    pub(crate) fn bytes(compartments: usize) -> usize {
+        let chunks = (compartments * L).div_ceil(WIDTH);
+        let state = 3 * 2 * size_of::<Block>() + 2 * size_of::<Lengths>() + size_of::<Muscles>();
+        let once = size_of::<Block>() + size_of::<Material>() + size_of::<Bounds>();
+        let sum = chunks * (state + size_of::<Rest>())
+            + once
+            + size_of::<Shares>()
+            + Workspace::bytes::<L>(chunks);
+        sum / 4 * 5
+    }
+
     /// Entry `index` of compartment `j`'s coordinates.
     pub(crate) fn coordinate(&self, lane: usize, j: usize, index: usize) -> f64 {
         let (chunk, slot) = place::<L>(j);

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::base::BaseMotion;
 use crate::engine::{Engine, InstructionSet};
 use crate::error::ParameterError;
+use crate::interrupt::poll;
 use crate::parameters::ArmParameters;
 use crate::state::{ArmState, COORDINATES};
 
@@ -34,7 +35,7 @@ fn solve(
     instructions: InstructionSet,
     mut shape: DVector<f64>,
     still: &[[f64; COORDINATES]],
-) -> (DVector<f64>, f64) {
+) -> Result<(DVector<f64>, f64), ParameterError> {
     let size = shape.len();
     let mut left = residual(engine, instructions, &shape, still);
     for _ in 0..ITERATIONS {
@@ -44,6 +45,7 @@ fn solve(
         }
         let mut jacobian = DMatrix::zeros(size, size);
         for column in 0..size {
+            poll()?;
             let width = 1e-7;
             let mut moved = shape.clone();
             moved[column] += width;
@@ -72,7 +74,7 @@ fn solve(
         }
     }
     let size_left = left.amax();
-    (shape, size_left)
+    Ok((shape, size_left))
 }
 
 /// Static equilibrium at θ = φ = 0, without muscle inputs: Newton's method on the accelerations, in
@@ -80,7 +82,7 @@ fn solve(
 ///
 /// # Errors
 /// [`ParameterError::NoEquilibrium`] if no shape at rest is found; one that is may lie outside the
-/// domain, and need not be stable.
+/// domain, and need not be stable. [`ParameterError::Interrupted`].
 pub(crate) fn static_equilibrium(
     parameters: &ArmParameters,
     instructions: InstructionSet,
@@ -100,7 +102,7 @@ pub(crate) fn static_equilibrium(
                 ..parameters.clone()
             };
             (shape, worst) =
-                solve(&mut Engine::new(&[&loaded]), instructions, shape, &undeformed.rates);
+                solve(&mut Engine::new(&[&loaded]), instructions, shape, &undeformed.rates)?;
             if worst > AT_REST || worst.is_nan() {
                 break;
             }

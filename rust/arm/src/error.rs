@@ -28,6 +28,17 @@ pub enum ParameterError {
     /// Text that cannot be read: which field, and why.
     #[error("{0}")]
     Format(String),
+    /// More memory than there is.
+    #[error("{what}: not enough memory{}", bytes.map_or(String::new(), |bytes| format!(" for {bytes} bytes")))]
+    Memory {
+        /// What the memory was for, with the argument that sets its amount.
+        what: String,
+        /// How much; none if the number itself overflows.
+        bytes: Option<usize>,
+    },
+    /// The computation was told to stop, see [`crate::interruptible`].
+    #[error("interrupted")]
+    Interrupted,
     /// No static equilibrium was found for the body.
     #[error(
         "no static equilibrium found: {reason}; lower gravity or arm_density, raise \

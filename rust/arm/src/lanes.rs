@@ -9,7 +9,7 @@ use crate::engine::{Engine, InstructionSet};
 use crate::error::{DomainError, ParameterError};
 use crate::kernel::{Muscles, WIDTH, place};
 use crate::parameters::ArmParameters;
-use crate::state::{ArmState, COORDINATES};
+use crate::state::{ArmState, COORDINATES, MuscleRow};
 
 /// `L` arms with the same number of compartments, each with its own parameters and actuator.
 #[derive(Clone, Debug)]
@@ -79,6 +79,7 @@ impl<const L: usize> Lanes<L> {
             rates: read(&|j, index| self.engine.rate(lane, j, index)),
             base: self.base(lane),
             steps: self.steps[lane],
+            muscles: self.muscle_rows(lane),
         }
     }
 
@@ -95,6 +96,9 @@ impl<const L: usize> Lanes<L> {
                 row[*lane] = value;
             }
             self.steps[*lane] = state.steps;
+            for j in 0..self.compartments() {
+                self.set_muscle_row(*lane, j, state.muscles.get(j).unwrap_or(&[0.0; 8]));
+            }
         }
         self.engine.refresh(self.instructions, &());
     }
@@ -123,9 +127,24 @@ impl<const L: usize> Lanes<L> {
         Ok(())
     }
 
-    /// No muscle inputs in any lane.
-    pub(crate) fn clear_muscles(&mut self) {
-        self.engine.muscles.fill(Muscles::ZERO);
+    fn set_muscle_row(&mut self, lane: usize, j: usize, row: &MuscleRow) {
+        let (chunk, slot) = place::<L>(j);
+        let Muscles { longitudinal: xi, transverse: delta } = &mut self.engine.muscles[chunk];
+        for i in 0..4 {
+            xi[i][slot + lane] = row[i];
+            delta[i][slot + lane] = row[4 + i];
+        }
+    }
+
+    /// Muscle inputs of every compartment; none where all are zero.
+    fn muscle_rows(&self, lane: usize) -> Vec<MuscleRow> {
+        let row = |j| -> MuscleRow {
+            let (chunk, slot) = place::<L>(j);
+            let Muscles { longitudinal: xi, transverse: delta } = &self.engine.muscles[chunk];
+            std::array::from_fn(|i| if i < 4 { xi[i] } else { delta[i - 4] }[slot + lane])
+        };
+        let rows: Vec<MuscleRow> = (0..self.compartments()).map(row).collect();
+        if rows.iter().flatten().all(|value| value.to_bits() == 0) { Vec::new() } else { rows }
     }
 
     /// Sets ξ_c and δ_c of an arm's springs \[N\], in observation order.
@@ -152,12 +171,9 @@ impl<const L: usize> Lanes<L> {
             }
         }
         for j in 0..self.compartments() {
-            let (chunk, slot) = place::<L>(j);
-            let Muscles { longitudinal: xi, transverse: delta } = &mut self.engine.muscles[chunk];
-            for i in 0..4 {
-                xi[i][slot + lane] = longitudinal[4 * j + i];
-                delta[i][slot + lane] = transverse[4 * j + i];
-            }
+            let of =
+                |i: usize| if i < 4 { longitudinal[4 * j + i] } else { transverse[4 * j + i - 4] };
+            self.set_muscle_row(lane, j, &std::array::from_fn(of));
         }
         Ok(())
     }
@@ -315,11 +331,13 @@ impl ArmLanes {
         let states: [ArmState; WIDTH] = std::array::from_fn(|lane| arm(lane).state(0));
         let states: Vec<(usize, &ArmState)> = states.iter().enumerate().collect();
         lanes.restore_many(&states);
-        for lane in 0..WIDTH {
-            let (longitudinal, transverse) = arm(lane).muscles(0);
-            lanes.set_muscles(lane, &longitudinal, &transverse)?;
-        }
         Ok(Self { lanes, count: arms.len() })
+    }
+
+    /// Memory of `WIDTH` arms with this many compartments \[bytes\], rounded up.
+    #[must_use]
+    pub fn bytes(compartments: usize) -> usize {
+        size_of::<Self>() + Engine::<WIDTH>::bytes(compartments)
     }
 
     /// Number of arms.

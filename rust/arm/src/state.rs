@@ -9,8 +9,11 @@ use crate::parameters::ArmParameters;
 /// Number of coordinates of a compartment: `[h, α, β, r1, r2, r3, r4]`.
 pub const COORDINATES: usize = 7;
 
-/// Everything that the next step depends on, beside parameters, muscle inputs and the command.
-/// Restoring a saved state is exact: the steps that follow have the same bits.
+/// Muscle inputs of a compartment's springs, `[ξ_c1..ξ_c4, δ_c1..δ_c4]` \[N\].
+pub type MuscleRow = [f64; 8];
+
+/// Everything that the next step depends on, beside parameters and the command. Restoring a saved
+/// state is exact: the steps that follow have the same bits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmState {
@@ -22,6 +25,9 @@ pub struct ArmState {
     pub base: [f64; 4],
     /// Physics steps since the last reset.
     pub steps: u64,
+    /// Muscle inputs of every compartment \[N\]; empty when none act.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub muscles: Vec<MuscleRow>,
 }
 
 impl ArmState {
@@ -40,6 +46,7 @@ impl ArmState {
             rates: vec![[0.0; COORDINATES]; parameters.compartments],
             base: [0.0; 4],
             steps: 0,
+            muscles: Vec::new(),
         }
     }
 
@@ -61,20 +68,13 @@ impl ArmState {
     /// # Errors
     /// [`ParameterError::Shape`] or [`ParameterError::OutOfRange`], naming the array.
     pub fn validate(&self, compartments: usize) -> Result<(), ParameterError> {
-        for (name, rows) in [("coordinates", &self.coordinates), ("rates", &self.rates)] {
-            if rows.len() != compartments {
-                return Err(ParameterError::Shape {
-                    name: format!("state.{name}"),
-                    found: format!("({}, {COORDINATES})", rows.len()),
-                    expected: format!("({compartments}, {COORDINATES})"),
-                });
-            }
-            for (row, column, value) in rows
-                .iter()
-                .enumerate()
-                .flat_map(|(j, row)| row.iter().enumerate().map(move |(k, value)| (j, k, value)))
-            {
-                if !value.is_finite() {
+        let check = |name: &str, rows: &mut dyn Iterator<Item = &[f64]>, width: usize| {
+            let mut count = 0;
+            for (row, values) in rows.enumerate() {
+                count += 1;
+                if let Some((column, value)) =
+                    values.iter().enumerate().find(|(_, value)| !value.is_finite())
+                {
                     return Err(ParameterError::OutOfRange {
                         name: format!("state.{name}[{row}, {column}]"),
                         value: value.to_string(),
@@ -82,7 +82,18 @@ impl ArmState {
                     });
                 }
             }
-        }
+            if count == compartments || (count == 0 && name == "muscles") {
+                return Ok(());
+            }
+            Err(ParameterError::Shape {
+                name: format!("state.{name}"),
+                found: format!("({count}, {width})"),
+                expected: format!("({compartments}, {width})"),
+            })
+        };
+        check("coordinates", &mut self.coordinates.iter().map(<[f64; 7]>::as_slice), COORDINATES)?;
+        check("rates", &mut self.rates.iter().map(<[f64; 7]>::as_slice), COORDINATES)?;
+        check("muscles", &mut self.muscles.iter().map(<[f64; 8]>::as_slice), 8)?;
         for (index, value) in self.base.iter().enumerate() {
             if !value.is_finite() {
                 return Err(ParameterError::OutOfRange {

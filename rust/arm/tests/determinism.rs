@@ -108,14 +108,19 @@ fn a_restored_state_has_the_same_future() {
         let text = serde_json::to_string(&arm.state()).unwrap();
         let state: ArmState = serde_json::from_str(&text).unwrap();
         assert_eq!(state, arm.state());
-        // Into an arm that was elsewhere; muscle inputs are no part of the state.
+        // Into an arm that was elsewhere, and without muscle inputs.
         let mut other = Arm::undeformed(ArmParameters::default(), actuator).unwrap();
         for command in commands(actuator, 50, 5) {
             other.step(command).unwrap();
         }
-        let (push, spread) = arm.muscles();
-        other.set_muscles(&push, &spread).unwrap();
         other.set_state(&state).unwrap();
+        assert_eq!(other.muscles(), arm.muscles());
+        assert_same_future(&mut arm, &mut other, &commands(actuator, 500, 6));
+        // A state without muscle inputs takes them away, and is written without them.
+        arm.reset_undeformed();
+        let text = serde_json::to_string(&arm.state()).unwrap();
+        assert!(!text.contains("muscles"), "{text}");
+        other.set_state(&serde_json::from_str(&text).unwrap()).unwrap();
         assert_same_future(&mut arm, &mut other, &commands(actuator, 500, 6));
     }
 }

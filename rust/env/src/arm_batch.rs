@@ -22,7 +22,7 @@ pub struct ArmBatch {
 struct Errand<'a> {
     lanes: &'a mut ArmLanes,
     first: usize,
-    steps: usize,
+    steps: std::ops::Range<usize>,
     stride: usize,
     stops: &'a mut [Option<Stop>],
     /// What the readouts say, an entry a step; empty in open loop.
@@ -41,13 +41,13 @@ impl Errand<'_> {
         }
         let mut commands = [[0.0; 2]; WIDTH];
         let mut moves = [false; WIDTH];
-        for step in 0..self.steps {
+        for step in self.steps.clone() {
             for (lane, row) in now.chunks_exact(width).enumerate() {
                 moves[lane] = self.stops[lane].is_none();
                 let (angles, output) = command(self.first + lane, step, row);
                 commands[lane] = angles;
                 if let Some(outputs) = self.outputs.get_mut(lane) {
-                    outputs[step] = output;
+                    outputs[step - self.steps.start] = output;
                 }
             }
             if !self.lanes.step(&commands, &moves) {
@@ -61,7 +61,7 @@ impl Errand<'_> {
                 self.lanes.lengths_into(lane, &mut now[lane * width..(lane + 1) * width]);
             }
             if (step + 1) % self.stride == 0 {
-                let row = step / self.stride * width;
+                let row = (step / self.stride - self.steps.start / self.stride) * width;
                 for (lane, rows) in self.lengths.iter_mut().enumerate() {
                     self.lanes.lengths_into(lane, &mut rows[row..row + width]);
                 }
@@ -132,34 +132,38 @@ impl ArmBatch {
         lengths
     }
 
-    /// Every arm follows its commands \[degrees\], all the same number of them; the lengths after
-    /// every `stride`-th step go to that arm's entry of `lengths`. An arm with a stop in `stops` stands still; one
-    /// whose step would leave the domain gets one, and stands still from there, its lengths repeated.
+    /// Every arm follows its commands \[degrees\] in these steps of the run that the commands are for;
+    /// the lengths after every `stride`-th step of that run go to that arm's entry of `lengths`, those
+    /// of the first such step to its begin. An arm with a stop in `stops` stands still; one whose step
+    /// would leave the domain gets one, and stands still from there, its lengths repeated.
     ///
     /// # Panics
     /// If the numbers of entries do not fit, or `stride` is 0.
     pub fn run(
         &mut self,
         commands: &[&[[f64; 2]]],
+        steps: std::ops::Range<usize>,
         stride: usize,
         lengths: Vec<&mut [f64]>,
         stops: &mut [Option<Stop>],
     ) {
         assert_eq!(commands.len(), self.count, "commands of every arm");
         let command = |arm: usize, step: usize, _: &[f64]| (commands[arm][step], [0.0; 2]);
-        let steps = commands.first().map_or(0, |commands| commands.len());
         self.run_with(&command, steps, stride, Vec::new(), lengths, stops);
     }
 
-    /// Closes every arm's loop through its readout (Eqs. 24–26), as [`Arm::run_closed_loop`] does;
-    /// what the readouts say goes to `outputs`. Stops are as in [`ArmBatch::run`].
+    /// Closes every arm's loop through its readout (Eqs. 24–26), as [`Arm::run_closed_loop`] does, in
+    /// these steps of the run that the perturbations are for; what the readouts say in them goes to
+    /// `outputs`. Lengths and stops are as in [`ArmBatch::run`].
     ///
     /// # Panics
     /// If the numbers of entries do not fit, or `stride` is 0.
+    #[allow(clippy::too_many_arguments)] // A block of a run needs all that the run has.
     pub fn run_closed_loop(
         &mut self,
         readouts: &[&LinearReadout],
         perturbations: Option<&[&[[f64; 2]]]>,
+        steps: std::ops::Range<usize>,
         stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
@@ -172,14 +176,13 @@ impl ArmBatch {
             let push = perturbations.map_or([0.0; 2], |rows| rows[arm][step]);
             ([said[0] + push[0], said[1] + push[1]], said)
         };
-        let steps = outputs.first().map_or(0, |outputs| outputs.len());
         self.run_with(&command, steps, stride, outputs, lengths, stops);
     }
 
     fn run_with(
         &mut self,
         command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync),
-        steps: usize,
+        steps: std::ops::Range<usize>,
         stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
@@ -198,7 +201,7 @@ impl ArmBatch {
                 lengths: lengths.by_ref().take(lanes.len()).collect(),
                 lanes,
                 first: index * WIDTH,
-                steps,
+                steps: steps.clone(),
                 stride,
                 stops,
             })

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, ParameterError, domain};
+use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, ParameterError, domain, memory, poll};
 use serde::{Deserialize, Serialize};
 
 use crate::config::EpisodeConfig;
@@ -66,7 +66,7 @@ pub struct BatchReset {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Seat {
     /// Steps since the reset.
-    elapsed: u32,
+    elapsed: u64,
     /// Whether there was a reset at all.
     begun: bool,
     /// Whether the episode has ended and waits for a reset.
@@ -111,7 +111,7 @@ struct Errand<'a> {
 pub struct EpisodeBatch {
     groups: Vec<Group>,
     count: usize,
-    max_episode_steps: Option<u32>,
+    max_episode_steps: Option<u64>,
     autoreset: Autoreset,
     workers: Workers,
 }
@@ -179,7 +179,7 @@ impl Group {
 
 impl Errand<'_> {
     /// A step of the whole group.
-    fn run(self, autoreset: Autoreset, max_episode_steps: Option<u32>, width: usize) {
+    fn run(self, autoreset: Autoreset, max_episode_steps: Option<u64>, width: usize) {
         let Self { group, actions, observations, rewards, terminated, truncated, outcomes, lasts } =
             self;
         let count = group.courses.len();
@@ -229,7 +229,8 @@ impl Errand<'_> {
 }
 
 impl EpisodeBatch {
-    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration.
+    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration; those
+    /// with the same `Arc` share what is computed from it.
     ///
     /// An episode is truncated after `max_episode_steps` steps. `threads` share the work, the calling
     /// one included; without a number, as many as the processor runs at once.
@@ -238,8 +239,8 @@ impl EpisodeBatch {
     /// [`ParameterError`] that names the setting, its value and its range; different numbers of
     /// compartments are refused too.
     pub fn new(
-        configs: Vec<EpisodeConfig>,
-        max_episode_steps: Option<u32>,
+        configs: &[Arc<EpisodeConfig>],
+        max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
@@ -253,11 +254,17 @@ impl EpisodeBatch {
                 range: "of one number for all environments".to_owned(),
             });
         }
-        let mut courses: Vec<Course> = Vec::with_capacity(configs.len());
+        let mut courses = Self::room(configs.len(), compartments.unwrap_or(0))?;
+        let mut known: Vec<Course> = Vec::new();
         for config in configs {
-            let course = match courses.last() {
-                Some(before) if *before.config() == config => before.clone(),
-                _ => Course::new(Arc::new(config))?,
+            // Environments are mostly alike, and mostly like the one before.
+            let same = |course: &&Course| Arc::ptr_eq(course.config(), config);
+            let course = match known.iter().rev().find(same) {
+                Some(course) => course.clone(),
+                None => {
+                    known.push(Course::new(Arc::clone(config))?);
+                    known[known.len() - 1].clone()
+                }
             };
             courses.push(course);
         }
@@ -271,17 +278,26 @@ impl EpisodeBatch {
     pub fn uniform(
         config: EpisodeConfig,
         count: usize,
-        max_episode_steps: Option<u32>,
+        max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
-        let course = Course::new(Arc::new(config))?;
-        Self::of(vec![course; count], max_episode_steps, autoreset, threads)
+        let mut courses = Self::room(count, config.arm.compartments)?;
+        courses.resize(count, Course::new(Arc::new(config))?);
+        Self::of(courses, max_episode_steps, autoreset, threads)
+    }
+
+    /// Room for the courses of `count` episodes, if there is enough for their arms too.
+    fn room(count: usize, compartments: usize) -> Result<Vec<Course>, ParameterError> {
+        let what = format!("num_envs = {count}");
+        let groups = count.div_ceil(WIDTH);
+        memory::check_room::<u8>(&what, groups.checked_mul(ArmLanes::bytes(compartments)))?;
+        memory::reserved(&what, Some(count))
     }
 
     fn of(
         courses: Vec<Course>,
-        max_episode_steps: Option<u32>,
+        max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
@@ -303,6 +319,7 @@ impl EpisodeBatch {
         let mut groups = Vec::with_capacity(count.div_ceil(WIDTH));
         let mut courses = courses.into_iter();
         while groups.len() * WIDTH < count {
+            poll()?;
             groups.push(Group::new(courses.by_ref().take(WIDTH).collect())?);
         }
         Ok(Self { groups, count, max_episode_steps, autoreset, workers })
@@ -435,7 +452,7 @@ impl EpisodeBatch {
             self.groups[0].courses[0].nearest(phase)?;
         }
         let width = self.observation_len();
-        let mut observations = vec![0.0; self.count * width];
+        let mut observations = self.observations()?;
         let mut outcomes = vec![None; self.count];
         for (index, group) in self.groups.iter_mut().enumerate() {
             let first = index * WIDTH;
@@ -469,13 +486,17 @@ impl EpisodeBatch {
     ///
     /// # Errors
     /// [`ParameterError`] for another number of actions than of episodes, an action outside its
-    /// bounds, or an episode that was never reset (or, without autoreset, has ended); nothing is
-    /// changed then.
+    /// bounds, an episode that was never reset (or, without autoreset, has ended), or too little
+    /// memory; nothing is changed then.
     pub fn step(&mut self, actions: &[[f64; 2]]) -> Result<BatchStep, ParameterError> {
         self.check_len("actions", actions.len())?;
-        for (index, action) in actions.iter().enumerate() {
-            check_action(*action, |axis| format!("actions[{index}, {axis}]"))?;
-        }
+        let actions: Vec<[f64; 2]> = actions
+            .iter()
+            .enumerate()
+            .map(|(index, action)| {
+                check_action(*action, |axis| format!("actions[{index}, {axis}]"))
+            })
+            .collect::<Result<_, _>>()?;
         let seats = self.groups.iter().flat_map(|group| &group.seats);
         for (index, seat) in seats.enumerate() {
             if !seat.begun || (seat.ended && self.autoreset == Autoreset::Disabled) {
@@ -483,7 +504,7 @@ impl EpisodeBatch {
             }
         }
         let (count, width) = (self.count, self.observation_len());
-        let mut observations = vec![0.0; count * width];
+        let mut observations = self.observations()?;
         let mut rewards = vec![0.0; count];
         let mut terminated = vec![false; count];
         let mut truncated = vec![false; count];
@@ -512,6 +533,12 @@ impl EpisodeBatch {
         self.workers.for_each(errands, |errand| errand.run(autoreset, most, width));
         let outcomes = outcomes.into_iter().flatten().collect();
         Ok(BatchStep { observations, rewards, terminated, truncated, outcomes, lasts })
+    }
+
+    /// Room for the spring lengths of all arms.
+    fn observations(&self) -> Result<Vec<f64>, ParameterError> {
+        let what = format!("observations of {} environments", self.count);
+        memory::filled(&what, 0.0, self.count.checked_mul(self.observation_len()))
     }
 
     fn check_len(&self, name: &str, found: usize) -> Result<(), ParameterError> {

@@ -71,7 +71,7 @@ impl EpisodeState {
                 }
             }
         }
-        check_action(self.action, |axis| format!("action[{axis}]"))
+        check_action(self.action, |axis| format!("action[{axis}]")).map(|_| ())
     }
 }
 
@@ -118,7 +118,7 @@ impl Course {
         })
     }
 
-    pub(crate) fn config(&self) -> &EpisodeConfig {
+    pub(crate) fn config(&self) -> &Arc<EpisodeConfig> {
         &self.config
     }
 
@@ -252,13 +252,19 @@ impl Course {
     }
 }
 
-/// Checks an action; `name` gives the name of an entry in the message.
+/// How far an action may pass its bounds, and is then taken for the bound: what rounding in single
+/// precision makes of ±1 when wrappers scale actions.
+const ROUNDING: f64 = 8.0 * f32::EPSILON as f64;
+
+/// Checks an action, and gives it without the rounding past its bounds; `name` gives the name of an
+/// entry in the message.
 pub(crate) fn check_action(
     action: [f64; 2],
     name: impl Fn(usize) -> String,
-) -> Result<(), ParameterError> {
+) -> Result<[f64; 2], ParameterError> {
     for (axis, value) in action.into_iter().enumerate() {
-        if !(-1.0..=1.0).contains(&value) {
+        // Written so that a NaN fails too.
+        if !(-1.0 - ROUNDING..=1.0 + ROUNDING).contains(&value) {
             return Err(ParameterError::OutOfRange {
                 name: name(axis),
                 value: value.to_string(),
@@ -266,16 +272,17 @@ pub(crate) fn check_action(
             });
         }
     }
-    Ok(())
+    Ok(action.map(|value| value.clamp(-1.0, 1.0)))
 }
 
-/// Checks what a step is asked: an action, each entry in [−1, 1], of an episode that runs.
+/// Checks what a step is asked: an action, each entry in [−1, 1], of an episode that runs. Gives the
+/// action, without what rounding in single precision adds to its bounds.
 ///
 /// # Errors
 /// [`ParameterError::OutOfRange`] that names the entry, or says that no episode runs.
-pub fn check_step(action: [f64; 2], running: bool) -> Result<(), ParameterError> {
-    check_action(action, |axis| format!("action[{axis}]"))?;
-    if running { Ok(()) } else { Err(not_running("step".to_owned())) }
+pub fn check_step(action: [f64; 2], running: bool) -> Result<[f64; 2], ParameterError> {
+    let action = check_action(action, |axis| format!("action[{axis}]"))?;
+    if running { Ok(action) } else { Err(not_running("step".to_owned())) }
 }
 
 /// The refusal of a step outside an episode.

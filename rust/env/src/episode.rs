@@ -117,9 +117,10 @@ impl Episode {
     /// [`ParameterError::OutOfRange`] for an action outside its bounds or a step without a reset;
     /// nothing is changed then.
     pub fn step(&mut self, action: [f64; 2]) -> Result<Outcome, ParameterError> {
-        check_step(action, self.course.running())?;
+        let action = check_step(action, self.course.running())?;
         let command = self.course.command(action);
-        let failure = control_step(&mut self.arm, command, self.course.physics_steps()).err();
+        let steps = self.course.physics_steps();
+        let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;
         Ok(self.course.finish(action, self.arm.base_degrees(), failure))
     }
 

@@ -1,7 +1,7 @@
 //! Closed orbits of the base angles: the paper's limit cycles and a user's own.
 
-use octoarm_arm::ParameterError;
 use octoarm_arm::transcendental::sin_cos;
+use octoarm_arm::{ParameterError, memory, poll};
 
 use crate::config::TargetName;
 
@@ -130,23 +130,32 @@ impl Orbit {
     /// One of the paper's limit cycles as the teacher gives it, one row a step of 1 ms: the
     /// oscillators integrated by the fourth-order Runge–Kutta method at 0.01 a step from near the
     /// origin, the Lissajous curve from its origin, scaled as [`Orbit::named`] \[degrees\].
-    #[must_use]
-    pub fn teacher_signal(name: TargetName, amplitude: f64, steps: usize) -> Vec<[f64; 2]> {
+    ///
+    /// # Errors
+    /// [`ParameterError::Memory`] and [`ParameterError::Interrupted`].
+    pub fn teacher_signal(
+        name: TargetName,
+        amplitude: f64,
+        steps: usize,
+    ) -> Result<Vec<[f64; 2]>, ParameterError> {
         let scale = amplitude / largest(&turn(name).0);
+        let mut signal = memory::reserved(&format!("a signal of {steps} steps"), Some(steps))?;
         let mut x = START;
-        (0..steps)
-            .map(|step| {
-                let now = match slope_of(name) {
-                    Some(slope) => {
-                        let now = x;
-                        x = runge_kutta(slope, x, TIME_PER_STEP);
-                        now
-                    }
-                    None => lissajous(TIME_PER_STEP * step as f64),
-                };
-                now.map(|value| scale * value)
-            })
-            .collect()
+        for step in 0..steps {
+            if step % 1024 == 0 {
+                poll()?;
+            }
+            let now = match slope_of(name) {
+                Some(slope) => {
+                    let now = x;
+                    x = runge_kutta(slope, x, TIME_PER_STEP);
+                    now
+                }
+                None => lissajous(TIME_PER_STEP * step as f64),
+            };
+            signal.push(now.map(|value| scale * value));
+        }
+        Ok(signal)
     }
 
     /// A user's orbit: one period, one row every `interval` seconds, degrees; scaled to `amplitude`

@@ -6,9 +6,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use octoarm_arm::{Actuator, Arm, ArmState, ParameterError, Servo};
+use octoarm_arm::{Actuator, Arm, ArmState, DomainError, ParameterError, Servo, poll};
 
-use crate::config::EpisodeConfig;
+use crate::config::{EpisodeConfig, Target};
 use crate::course::command_at;
 use crate::orbit::Orbit;
 
@@ -106,18 +106,46 @@ fn ramp(x: f64) -> f64 {
 
 /// Moves the arm through one control period under a command in degrees ([`command_at`]).
 ///
+/// Gives the reason if the arm would leave its domain; it then is in its last valid state.
+///
 /// # Errors
-/// The domain's, with the arm in its last valid state.
+/// Those of `before_each` physics step, with the arm on its way.
 pub(crate) fn control_step(
     arm: &mut Arm,
     command: [f64; 2],
     physics_steps: u32,
-) -> Result<(), octoarm_arm::DomainError> {
+    before_each: impl Fn() -> Result<(), ParameterError>,
+) -> Result<Option<DomainError>, ParameterError> {
     let (actuator, start) = (arm.actuator(), arm.base_degrees());
     for step in 1..=physics_steps {
-        arm.step(command_at(actuator, start, command, step, physics_steps))?;
+        before_each()?;
+        if let Err(failure) = arm.step(command_at(actuator, start, command, step, physics_steps)) {
+            return Ok(Some(failure));
+        }
     }
-    Ok(())
+    Ok(None)
+}
+
+/// The refusal of a target that takes the arm out of its domain.
+fn unable(config: &EpisodeConfig, orbit: &Orbit, failure: &DomainError) -> ParameterError {
+    let (name, value) = match &config.target {
+        Target::Named(_) => ("amplitude", orbit.amplitude().to_string()),
+        Target::Samples(rows) => (
+            "target",
+            format!(
+                "{} rows of up to {} degrees, one a physics step of {} s, so a period of {} s",
+                rows.len(),
+                orbit.amplitude(),
+                config.arm.timestep,
+                orbit.period()
+            ),
+        ),
+    };
+    ParameterError::OutOfRange {
+        name: name.to_owned(),
+        value,
+        range: format!("of targets that this body can be swung along: {failure}"),
+    }
 }
 
 impl Swing {
@@ -174,13 +202,9 @@ impl Swing {
             let elapsed = (tick + 1 + lead_in) as f64 * config.control_period;
             let goal = clock.target(tick + 1).map(|angle| angle * ramp(elapsed / RAMP));
             let (command, end) = clock.command_towards(goal, base);
-            control_step(&mut arm, command, physics_steps).map_err(|failure| {
-                ParameterError::OutOfRange {
-                    name: "amplitude".to_owned(),
-                    value: orbit.amplitude().to_string(),
-                    range: format!("of targets that this body can be swung along: {failure}"),
-                }
-            })?;
+            if let Some(failure) = control_step(&mut arm, command, physics_steps, poll)? {
+                return Err(unable(config, &orbit, &failure));
+            }
             base = end;
             if tick + 1 >= 0 {
                 snapshots.push(Snapshot {

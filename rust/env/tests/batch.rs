@@ -2,13 +2,15 @@
 //! them, however many threads there are, with failures and truncations inside.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+use std::sync::Arc;
+
 use octoarm_arm::{Actuator, Arm, ArmParameters, LinearReadout};
 use octoarm_env::{
     ArmBatch, Autoreset, BatchState, Episode, EpisodeBatch, EpisodeConfig, Outcome, Target,
     TargetName,
 };
 
-const MOST_STEPS: u32 = 60;
+const MOST_STEPS: u64 = 60;
 
 /// Episodes of all kinds; those driven `direct` at 1 ms fail under wild actions.
 fn configs(count: usize) -> Vec<EpisodeConfig> {
@@ -55,7 +57,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
 /// A single episode under the same rules.
 struct Single {
     episode: Episode,
-    elapsed: u32,
+    elapsed: u64,
     ended: bool,
 }
 
@@ -97,8 +99,12 @@ impl Single {
     }
 }
 
+fn shared(configs: Vec<EpisodeConfig>) -> Vec<Arc<EpisodeConfig>> {
+    configs.into_iter().map(Arc::new).collect()
+}
+
 fn batch(count: usize, autoreset: Autoreset, threads: usize) -> EpisodeBatch {
-    EpisodeBatch::new(configs(count), Some(MOST_STEPS), autoreset, Some(threads)).unwrap()
+    EpisodeBatch::new(&shared(configs(count)), Some(MOST_STEPS), autoreset, Some(threads)).unwrap()
 }
 
 fn seen(batch: &mut EpisodeBatch, actions: &[[f64; 2]]) -> Vec<Seen> {
@@ -197,7 +203,9 @@ fn a_saved_batch_goes_on_with_the_same_bits() {
 #[test]
 fn bad_input_is_named_and_changes_nothing() {
     let new = |configs, most, threads| {
-        EpisodeBatch::new(configs, most, Autoreset::NextStep, threads).unwrap_err().to_string()
+        EpisodeBatch::new(&shared(configs), most, Autoreset::NextStep, threads)
+            .unwrap_err()
+            .to_string()
     };
     assert!(new(Vec::new(), None, None).contains("num_envs = 0"));
     assert!(new(configs(1), Some(0), None).contains("max_episode_steps = 0"));
@@ -215,6 +223,7 @@ fn bad_input_is_named_and_changes_nothing() {
         ([f64::NAN, 0.0], "actions[1, 0] = NaN"),
         ([0.0, f64::INFINITY], "actions[1, 1] = inf"),
         ([0.0, -1.5], "actions[1, 1] = -1.5"),
+        ([0.0, 1.000_002], "actions[1, 1] = 1.000002"),
     ] {
         let message = batch.step(&[[0.0; 2], action, [0.0; 2]]).unwrap_err().to_string();
         assert!(message.contains(name), "{message}");
@@ -261,7 +270,13 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
         let mut lengths = vec![0.0; arms.len() * steps * width];
         let mut stops = vec![None; arms.len()];
         let commands: Vec<&[[f64; 2]]> = drives.iter().map(Vec::as_slice).collect();
-        batch.run(&commands, 1, lengths.chunks_exact_mut(steps * width).collect(), &mut stops);
+        batch.run(
+            &commands,
+            0..steps,
+            1,
+            lengths.chunks_exact_mut(steps * width).collect(),
+            &mut stops,
+        );
         for (index, arm) in arms.iter().enumerate() {
             let mut arm = arm.clone();
             let mut alone = vec![0.0; steps * width];
@@ -289,6 +304,7 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
         batch.run_closed_loop(
             &readouts,
             Some(&push),
+            0..steps,
             1,
             outputs.chunks_exact_mut(steps).collect(),
             lengths.chunks_exact_mut(steps * width).collect(),

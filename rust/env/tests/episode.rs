@@ -156,6 +156,19 @@ fn a_failure_ends_the_episode_and_leaves_the_last_valid_state() {
 }
 
 #[test]
+fn rounding_in_single_precision_past_a_bound_is_the_bound() {
+    let mut exact = Episode::new(config(TargetName::Lissajous)).unwrap();
+    exact.reset();
+    let mut rounded = exact.clone();
+    for step in 0..3 {
+        let (plus, minus) = (f64::from(1.0 + f32::EPSILON), f64::from(-1.0 - 2.0 * f32::EPSILON));
+        let seen = rounded.step([plus, minus]).unwrap();
+        assert_eq!(seen, exact.step([1.0, -1.0]).unwrap(), "step {step}");
+    }
+    assert_eq!(rounded.state(), exact.state());
+}
+
+#[test]
 fn bad_actions_are_refused_before_anything_changes() {
     let mut episode = Episode::new(EpisodeConfig::default()).unwrap();
     assert!(episode.step([0.0; 2]).unwrap_err().to_string().contains("reset"));

@@ -1,18 +1,34 @@
 //! `_core.Arm`.
 
 use numpy::IntoPyArray;
-use octoarm_arm::{Actuator, ArmParameters, ArmState, COORDINATES, LinearReadout, check_command};
+use octoarm_arm::memory::filled;
+use octoarm_arm::{
+    Actuator, ArmParameters, ArmState, COORDINATES, DomainError, LinearReadout, check_command,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs, table};
-use crate::errors::{invalid, left_domain};
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table};
+use crate::errors::{interruptible, invalid, left_domain};
 
-/// Steps between two looks at Python's signals.
-const BLOCK: usize = 8192;
+/// Steps between two looks at Python's signals, for one arm of one compartment: a tenth of a second.
+const BLOCK: usize = 1 << 17;
 
-/// Coordinates, rates, base and step count of an arm.
-pub(crate) type State<'py> = (Table<'py>, Table<'py>, Vector<'py>, u64);
+/// Steps between two looks at Python's signals that so many arms make.
+pub(crate) fn block(arms: usize, compartments: usize) -> usize {
+    (BLOCK / (arms * compartments)).max(1)
+}
+
+/// Coordinates, rates, base, step count and muscle inputs of an arm.
+pub(crate) type State<'py> = (Table<'py>, Table<'py>, Vector<'py>, u64, (Table<'py>, Table<'py>));
+/// The same as Python gives it.
+pub(crate) type GivenState<'py> = (
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    u64,
+    (Bound<'py, PyAny>, Bound<'py, PyAny>),
+);
 
 /// One arm; `octoarm_env.Arm` documents it.
 #[pyclass(module = "octoarm_env._core")]
@@ -30,43 +46,80 @@ fn actuator(name: &str) -> PyResult<Actuator> {
     }
 }
 
-fn rows(flat: &[f64]) -> Vec<[f64; COORDINATES]> {
-    flat.chunks_exact(COORDINATES).map(|row| std::array::from_fn(|index| row[index])).collect()
-}
-
 /// A state as Python sees it.
 pub(crate) fn state_of(py: Python<'_>, state: ArmState) -> PyResult<State<'_>> {
+    let muscles = |first: usize| {
+        let mut inputs = vec![0.0; 4 * state.coordinates.len()];
+        for (values, row) in inputs.chunks_exact_mut(4).zip(&state.muscles) {
+            values.copy_from_slice(&row[first..first + 4]);
+        }
+        table(py, inputs, 4)
+    };
+    let muscles = (muscles(0)?, muscles(4)?);
     Ok((
         table(py, state.coordinates.into_flattened(), COORDINATES)?,
         table(py, state.rates.into_flattened(), COORDINATES)?,
         state.base.to_vec().into_pyarray(py),
         state.steps,
+        muscles,
     ))
 }
 
 /// A state from what Python gives for one.
-pub(crate) fn state_from(
-    compartments: usize,
-    coordinates: &Bound<'_, PyAny>,
-    rates: &Bound<'_, PyAny>,
-    base: &Bound<'_, PyAny>,
-    steps: u64,
-) -> PyResult<ArmState> {
-    let shape = [Some(compartments), Some(COORDINATES)];
-    let (coordinates, _) = numbers("state.coordinates", coordinates, &shape)?;
-    let (rates, _) = numbers("state.rates", rates, &shape)?;
+pub(crate) fn state_from(compartments: usize, given: &GivenState<'_>) -> PyResult<ArmState> {
+    let (coordinates, rates, base, steps, (longitudinal, transverse)) = given;
+    let read = |name: &str, value, columns| {
+        numbers(name, value, &[Some(compartments), Some(columns)]).map(|(flat, _)| flat)
+    };
+    let coordinates = read("state.coordinates", coordinates, COORDINATES)?;
+    let rates = read("state.rates", rates, COORDINATES)?;
     let (base, _) = numbers("state.base", base, &[Some(4)])?;
+    let longitudinal = read("state.muscles[0]", longitudinal, 4)?;
+    let transverse = read("state.muscles[1]", transverse, 4)?;
+    let muscles = longitudinal.as_chunks::<4>().0.iter().zip(transverse.as_chunks::<4>().0);
     Ok(ArmState {
-        coordinates: rows(&coordinates),
-        rates: rows(&rates),
+        coordinates: coordinates.as_chunks().0.to_vec(),
+        rates: rates.as_chunks().0.to_vec(),
         base: std::array::from_fn(|index| base[index]),
-        steps,
+        steps: *steps,
+        muscles: muscles
+            .map(|(xi, delta)| std::array::from_fn(|i| if i < 4 { xi[i] } else { delta[i - 4] }))
+            .collect(),
     })
 }
 
 impl Arm {
     pub(crate) fn inner(&self) -> &octoarm_arm::Arm {
         &self.inner
+    }
+
+    fn block(&self) -> usize {
+        block(1, self.inner.parameters().compartments)
+    }
+
+    /// Runs block after block, each with its number of steps; gives the number of steps made, and what
+    /// ended them early. An interrupt puts the arm back to where it was.
+    fn blocks<B: Send>(
+        &mut self,
+        py: Python<'_>,
+        blocks: impl Iterator<Item = B>,
+        mut run: impl FnMut(&mut octoarm_arm::Arm, B) -> (usize, Result<(), (usize, DomainError)>)
+        + Send,
+    ) -> PyResult<(usize, Option<DomainError>)> {
+        let before = self.inner.state();
+        let mut done = 0;
+        for block in blocks {
+            let (steps, made) = py.detach(|| run(&mut self.inner, block));
+            if let Err((step, failure)) = made {
+                return Ok((done + step, Some(failure)));
+            }
+            done += steps;
+            if let Err(interrupt) = py.check_signals() {
+                self.inner.set_state(&before).map_err(invalid)?;
+                return Err(interrupt);
+            }
+        }
+        Ok((done, None))
     }
 }
 
@@ -77,7 +130,7 @@ impl Arm {
         let actuator = self::actuator(actuator)?;
         let parameters = ArmParameters::from_json(parameters).map_err(invalid)?;
         let make = if undeformed { octoarm_arm::Arm::undeformed } else { octoarm_arm::Arm::new };
-        let inner = py.detach(|| make(parameters, actuator)).map_err(invalid)?;
+        let inner = interruptible(py, || make(parameters, actuator))?;
         Ok(Self { inner })
     }
 
@@ -86,7 +139,7 @@ impl Arm {
             self.inner.reset_undeformed();
             Ok(())
         } else {
-            py.detach(|| self.inner.reset()).map_err(invalid)
+            interruptible(py, || self.inner.reset())
         }
     }
 
@@ -104,25 +157,26 @@ impl Arm {
     }
 
     fn run<'py>(&mut self, py: Python<'py>, angles: &Bound<'py, PyAny>) -> PyResult<Table<'py>> {
-        let commands = pairs("angles", angles)?;
+        let (angles, _) = numbers("angles", angles, &[None, Some(2)])?;
+        let commands = pairs_of(&angles);
         for (row, command) in commands.iter().enumerate() {
             check_command(*command)
                 .map_err(|error| PyValueError::new_err(format!("angles[{row}]: {error}")))?;
         }
         let width = self.inner.observation_len();
-        let mut lengths = vec![0.0; commands.len() * width];
-        let mut done = 0;
-        for (block, out) in commands.chunks(BLOCK).zip(lengths.chunks_mut(BLOCK * width)) {
-            if let Err((step, failure)) = py.detach(|| self.inner.run(block, out)) {
-                done += step;
-                lengths.truncate(done * width);
-                let lengths = table(py, lengths, width)?.into_any();
-                return Err(left_domain(py, &failure, done, Some(lengths), None));
-            }
-            done += block.len();
-            py.check_signals()?;
+        let what = format!("spring lengths of {} steps", commands.len());
+        let mut lengths = filled(&what, 0.0, commands.len().checked_mul(width)).map_err(invalid)?;
+        let outs = lengths.chunks_mut(self.block() * width);
+        let blocks = commands.chunks(self.block()).zip(outs);
+        let (done, failure) = self.blocks(py, blocks, |inner, (commands, out)| {
+            (commands.len(), inner.run(commands, out))
+        })?;
+        lengths.truncate(done * width);
+        let lengths = table(py, lengths, width)?;
+        match failure {
+            None => Ok(lengths),
+            Some(failure) => Err(left_domain(py, &failure, done, Some(lengths.into_any()), None)),
         }
-        table(py, lengths, width)
     }
 
     #[pyo3(signature = (weights, steps, perturbation=None))]
@@ -130,14 +184,12 @@ impl Arm {
         &mut self,
         py: Python<'py>,
         weights: &Bound<'py, PyAny>,
-        steps: i64,
+        steps: usize,
         perturbation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Table<'py>, Table<'py>)> {
-        let steps = usize::try_from(steps).map_err(|_| {
-            PyValueError::new_err(format!("steps = {steps}: expected a number of steps, 0 or more"))
-        })?;
         let width = self.inner.observation_len();
-        let mut weights = pairs("weights", weights)?;
+        let (flat, _) = numbers("weights", weights, &[None, Some(2)])?;
+        let mut weights = pairs_of(&flat).to_vec();
         if weights.len() != width && weights.len() != width + 1 {
             return Err(PyValueError::new_err(format!(
                 "weights has shape ({}, 2), expected ({width}, 2) or ({}, 2), the last row being the bias",
@@ -147,40 +199,24 @@ impl Arm {
         }
         let bias = if weights.len() > width { weights.pop().unwrap_or_default() } else { [0.0; 2] };
         let readout = LinearReadout { weights, bias };
-        let perturbation = perturbation.map(|value| pairs("perturbation", value)).transpose()?;
-        if let Some(rows) = &perturbation
-            && rows.len() != steps
-        {
+        let push = perturbation
+            .map(|value| numbers("perturbation", value, &[None, Some(2)]).map(|(flat, _)| flat))
+            .transpose()?;
+        if let Some(rows) = push.as_ref().filter(|rows| rows.len() / 2 != steps) {
             return Err(PyValueError::new_err(format!(
                 "perturbation has shape ({}, 2), expected ({steps}, 2): one row a step",
-                rows.len()
+                rows.len() / 2
             )));
         }
-        let cells = steps
-            .checked_mul(width)
-            .filter(|cells| *cells <= isize::MAX as usize / 8)
-            .ok_or_else(|| PyValueError::new_err(format!("steps = {steps} is too large")))?;
-        let mut outputs = Vec::new();
-        let mut lengths: Vec<f64> = Vec::new();
-        if lengths.try_reserve_exact(cells).is_err() || outputs.try_reserve_exact(steps).is_err() {
-            return Err(PyValueError::new_err(format!("steps = {steps}: not enough memory")));
-        }
-        outputs.resize(steps, [0.0; 2]);
-        lengths.resize(cells, 0.0);
-        let mut done = 0;
-        let mut failed = None;
-        for (said, out) in outputs.chunks_mut(BLOCK).zip(lengths.chunks_mut(BLOCK * width)) {
-            let push = perturbation.as_ref().map(|rows| &rows[done..done + said.len()]);
-            let count = said.len();
-            let result = py.detach(|| self.inner.run_closed_loop(&readout, push, said, out));
-            if let Err((step, failure)) = result {
-                done += step;
-                failed = Some(failure);
-                break;
-            }
-            done += count;
-            py.check_signals()?;
-        }
+        let what = format!("steps = {steps}");
+        let mut lengths = filled(&what, 0.0, steps.checked_mul(width)).map_err(invalid)?;
+        let mut outputs = filled(&what, [0.0; 2], Some(steps)).map_err(invalid)?;
+        let block = self.block();
+        let blocks = outputs.chunks_mut(block).zip(lengths.chunks_mut(block * width)).enumerate();
+        let (done, failed) = self.blocks(py, blocks, |inner, (index, (said, out))| {
+            let push = push.as_ref().map(|rows| &pairs_of(rows)[index * block..][..said.len()]);
+            (said.len(), inner.run_closed_loop(&readout, push, said, out))
+        })?;
         outputs.truncate(done);
         lengths.truncate(done * width);
         let outputs = table(py, outputs.into_flattened(), 2)?;
@@ -201,15 +237,8 @@ impl Arm {
         state_of(py, self.inner.state())
     }
 
-    fn set_state(
-        &mut self,
-        coordinates: &Bound<'_, PyAny>,
-        rates: &Bound<'_, PyAny>,
-        base: &Bound<'_, PyAny>,
-        steps: u64,
-    ) -> PyResult<()> {
-        let compartments = self.inner.parameters().compartments;
-        let state = state_from(compartments, coordinates, rates, base, steps)?;
+    fn set_state(&mut self, state: GivenState<'_>) -> PyResult<()> {
+        let state = state_from(self.inner.parameters().compartments, &state)?;
         self.inner.set_state(&state).map_err(invalid)
     }
 

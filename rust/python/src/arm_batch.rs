@@ -1,22 +1,18 @@
 //! `_core.ArmBatch`.
 
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use octoarm_arm::{ArmState, LinearReadout};
+use octoarm_arm::memory::{check_room, filled};
+use octoarm_arm::{ArmLanes, ArmState, LinearReadout};
 use octoarm_env::Stop;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyList;
 
-use crate::arm::{Arm, State, state_from, state_of};
-use crate::arrays::{Table, pairs_of, shaped, table, thread_count};
+use crate::arm::{Arm, GivenState, State, block, state_from, state_of};
+use crate::arrays::{Table, pairs_of, shaped, table};
 use crate::errors::{invalid, left_domain};
 
-/// Steps between two looks at Python's signals.
-const BLOCK: usize = 1024;
-
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
-/// Coordinates, rates, base and step count as Python gives them.
-type GivenState<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, u64);
 /// Steps that every arm has made, and why it made no more.
 type Ends<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyList>);
 
@@ -26,18 +22,9 @@ pub(crate) struct ArmBatch {
     inner: octoarm_env::ArmBatch,
 }
 
-/// A zeroed vector, or an error instead of an abort if there is not enough memory.
-fn zeros<T: Copy>(zero: T, count: Option<usize>, steps: usize) -> PyResult<Vec<T>> {
-    let refuse = || PyValueError::new_err(format!("{steps} steps: not enough memory"));
-    let count = count.filter(|count| *count <= isize::MAX as usize / 16).ok_or_else(refuse)?;
-    // Asked for and given back: memory that the system hands out zeroed need not be written twice.
-    Vec::<T>::new().try_reserve_exact(count).map_err(|_| refuse())?;
-    Ok(vec![zero; count])
-}
-
 /// Rows of an array (T, 2), the same for every arm, or (N, T, 2).
 struct Rows {
-    rows: Vec<[f64; 2]>,
+    flat: Vec<f64>,
     steps: usize,
     shared: bool,
 }
@@ -47,11 +34,12 @@ impl Rows {
         let shapes = [vec![None, Some(2)], vec![Some(arms), None, Some(2)]];
         let (flat, shape) = shaped(name, value, &shapes)?;
         let shared = shape.len() == 2;
-        Ok(Self { rows: pairs_of(&flat), steps: shape[shape.len() - 2], shared })
+        Ok(Self { flat, steps: shape[shape.len() - 2], shared })
     }
 
     fn of(&self, arm: usize) -> &[[f64; 2]] {
-        if self.shared { &self.rows } else { &self.rows[arm * self.steps..][..self.steps] }
+        let rows = pairs_of(&self.flat);
+        if self.shared { rows } else { &rows[arm * self.steps..][..self.steps] }
     }
 }
 
@@ -71,7 +59,8 @@ fn ends<'py>(py: Python<'py>, stops: &[Option<Stop>], steps: usize) -> PyResult<
 }
 
 impl ArmBatch {
-    /// Runs block after block; `run` gets the steps of a block and its rows of lengths.
+    /// Runs block after block; `run` gets the steps of a block and its rows of lengths. An interrupt
+    /// puts the arms back to where they were.
     fn blocks(
         &mut self,
         py: Python<'_>,
@@ -87,50 +76,60 @@ impl ArmBatch {
         let (arms, width) = (self.inner.len(), self.inner.observation_len());
         let rows = steps / stride;
         let cells = rows.checked_mul(width).and_then(|cells| cells.checked_mul(arms));
-        let mut lengths = zeros(0.0, cells, steps)?;
+        let what = format!("spring lengths of {steps} steps of {arms} arms");
+        let mut lengths = filled(&what, 0.0, cells).map_err(invalid)?;
         let mut stops: Vec<Option<Stop>> = vec![None; arms];
-        let mut done = 0;
-        while done < steps {
-            let block = done..steps.min(done.saturating_add(BLOCK.next_multiple_of(stride)));
+        let size = block(arms, width / 4);
+        let before = if steps > size { self.states() } else { Vec::new() };
+        for begin in (0..steps).step_by(size) {
+            let block = begin..steps.min(begin + size);
             let (from, to) = (block.start / stride * width, block.end / stride * width);
-            let rows = if rows == 0 {
+            let out = if rows == 0 {
                 (0..arms).map(|_| <&mut [f64]>::default()).collect()
             } else {
                 lengths.chunks_exact_mut(rows * width).map(|arm| &mut arm[from..to]).collect()
             };
-            let before: Vec<bool> = stops.iter().map(Option::is_some).collect();
-            let (inner, stops_now) = (&mut self.inner, &mut stops);
-            py.detach(|| run(inner, block.clone(), rows, stops_now));
-            for (stop, before) in stops.iter_mut().zip(before) {
-                // Steps are counted within a block there.
-                if let Some((step, _)) = stop.as_mut().filter(|_| !before) {
-                    *step += block.start;
-                }
+            let (inner, stops) = (&mut self.inner, &mut stops);
+            py.detach(|| run(inner, block.clone(), out, stops));
+            // The last block is followed by Python's own look at signals.
+            if block.end < steps
+                && let Err(interrupt) = py.check_signals()
+            {
+                self.restore(&before)?;
+                return Err(interrupt);
             }
-            done = block.end;
-            py.check_signals()?;
         }
         Ok((lengths, stops))
+    }
+
+    fn states(&self) -> Vec<ArmState> {
+        (0..self.inner.len()).map(|arm| self.inner.state(arm)).collect()
+    }
+
+    fn restore(&mut self, states: &[ArmState]) -> PyResult<()> {
+        states
+            .iter()
+            .enumerate()
+            .try_for_each(|(arm, state)| self.inner.set_state(arm, state))
+            .map_err(invalid)
     }
 
     fn cube<'py>(&self, py: Python<'py>, flat: Vec<f64>, columns: usize) -> PyResult<Cube<'py>> {
         let rows = flat.len() / (self.inner.len() * columns);
         flat.into_pyarray(py).reshape([self.inner.len(), rows, columns])
     }
-
-    /// A number of steps from one row of lengths to the next.
-    fn stride(stride: i64) -> PyResult<usize> {
-        usize::try_from(stride).ok().filter(|stride| (1..=1 << 32).contains(stride)).ok_or_else(
-            || PyValueError::new_err(format!("stride = {stride}: expected 1 to {}", 1_u64 << 32)),
-        )
-    }
 }
 
 #[pymethods]
 impl ArmBatch {
     #[new]
-    fn new(py: Python<'_>, arms: Vec<PyRef<'_, Arm>>, threads: Option<i64>) -> PyResult<Self> {
-        let threads = thread_count(threads)?;
+    fn new(py: Python<'_>, arms: Vec<PyRef<'_, Arm>>, threads: Option<usize>) -> PyResult<Self> {
+        if let Some(first) = arms.first() {
+            let compartments = first.inner().parameters().compartments;
+            // A copy of each, and the lanes.
+            let bytes = ArmLanes::bytes(compartments).checked_mul(2 * arms.len());
+            check_room::<u8>(&format!("{} arms", arms.len()), bytes).map_err(invalid)?;
+        }
         let arms: Vec<octoarm_arm::Arm> = arms.iter().map(|arm| arm.inner().clone()).collect();
         let inner = py
             .detach(|| octoarm_env::ArmBatch::new(&arms.iter().collect::<Vec<_>>(), threads))
@@ -147,11 +146,10 @@ impl ArmBatch {
         &mut self,
         py: Python<'py>,
         angles: &Bound<'py, PyAny>,
-        stride: i64,
+        stride: usize,
     ) -> PyResult<(Cube<'py>, Ends<'py>)> {
-        let stride = Self::stride(stride)?;
         let angles = Rows::read("angles", angles, self.inner.len())?;
-        for (row, command) in angles.rows.iter().enumerate() {
+        for (row, command) in pairs_of(&angles.flat).iter().enumerate() {
             octoarm_arm::check_command(*command).map_err(|error| {
                 let (arm, step) = (row / angles.steps, row % angles.steps);
                 let place =
@@ -162,9 +160,8 @@ impl ArmBatch {
         let steps = angles.steps;
         let arms = self.inner.len();
         let (lengths, stops) = self.blocks(py, steps, stride, |inner, block, lengths, stops| {
-            let commands: Vec<&[[f64; 2]]> =
-                (0..arms).map(|arm| &angles.of(arm)[block.clone()]).collect();
-            inner.run(&commands, stride, lengths, stops);
+            let commands: Vec<&[[f64; 2]]> = (0..arms).map(|arm| angles.of(arm)).collect();
+            inner.run(&commands, block, stride, lengths, stops);
         })?;
         let width = self.inner.observation_len();
         Ok((self.cube(py, lengths, width)?, ends(py, &stops, steps)?))
@@ -174,14 +171,10 @@ impl ArmBatch {
         &mut self,
         py: Python<'py>,
         weights: &Bound<'py, PyAny>,
-        steps: i64,
+        steps: usize,
         perturbation: Option<&Bound<'py, PyAny>>,
-        stride: i64,
+        stride: usize,
     ) -> PyResult<(Cube<'py>, Cube<'py>, Ends<'py>)> {
-        let stride = Self::stride(stride)?;
-        let steps = usize::try_from(steps).map_err(|_| {
-            PyValueError::new_err(format!("steps = {steps}: expected a number of steps, 0 or more"))
-        })?;
         let (arms, width) = (self.inner.len(), self.inner.observation_len());
         let shapes = [
             vec![Some(width), Some(2)],
@@ -194,7 +187,7 @@ impl ArmBatch {
         let readouts: Vec<LinearReadout> = flat
             .chunks_exact(2 * rows)
             .map(|flat| {
-                let mut weights = pairs_of(flat);
+                let mut weights = pairs_of(flat).to_vec();
                 let bias = if rows > width { weights.pop().unwrap_or_default() } else { [0.0; 2] };
                 LinearReadout { weights, bias }
             })
@@ -209,14 +202,15 @@ impl ArmBatch {
                 rows.steps
             )));
         }
-        let mut outputs = zeros([0.0; 2], steps.checked_mul(arms), steps)?;
+        let what = format!("outputs of {steps} steps of {arms} arms");
+        let mut outputs = filled(&what, [0.0; 2], steps.checked_mul(arms)).map_err(invalid)?;
         let said = &mut outputs;
         let (lengths, stops) = self.blocks(py, steps, stride, |inner, block, lengths, stops| {
-            let push: Option<Vec<&[[f64; 2]]>> = perturbation
-                .as_ref()
-                .map(|rows| (0..arms).map(|arm| &rows.of(arm)[block.clone()]).collect());
+            let push: Option<Vec<&[[f64; 2]]>> =
+                perturbation.as_ref().map(|rows| (0..arms).map(|arm| rows.of(arm)).collect());
             let said = said.chunks_exact_mut(steps).map(|arm| &mut arm[block.clone()]).collect();
-            inner.run_closed_loop(&readouts, push.as_deref(), stride, said, lengths, stops);
+            let push = push.as_deref();
+            inner.run_closed_loop(&readouts, push, block, stride, said, lengths, stops);
         })?;
         let outputs = self.cube(py, outputs.into_flattened(), 2)?;
         Ok((outputs, self.cube(py, lengths, width)?, ends(py, &stops, steps)?))
@@ -235,21 +229,9 @@ impl ArmBatch {
             )));
         }
         let compartments = self.inner.observation_len() / 4;
-        let states: Vec<ArmState> = states
-            .iter()
-            .map(|(coordinates, rates, base, steps)| {
-                state_from(compartments, coordinates, rates, base, *steps)
-            })
-            .collect::<PyResult<_>>()?;
-        let before: Vec<ArmState> = (0..states.len()).map(|arm| self.inner.state(arm)).collect();
-        let restored =
-            states.iter().enumerate().try_for_each(|(arm, state)| self.inner.set_state(arm, state));
-        if let Err(error) = restored {
-            for (arm, state) in before.iter().enumerate() {
-                self.inner.set_state(arm, state).map_err(invalid)?;
-            }
-            return Err(invalid(error));
-        }
-        Ok(())
+        let states: Vec<ArmState> =
+            states.iter().map(|state| state_from(compartments, state)).collect::<PyResult<_>>()?;
+        let before = self.states();
+        self.restore(&states).or_else(|error| self.restore(&before).and(Err(error)))
     }
 }

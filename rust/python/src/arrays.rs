@@ -4,9 +4,11 @@ use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
     PyUntypedArray, PyUntypedArrayMethods,
 };
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use octoarm_arm::memory;
+use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+
+use crate::errors::invalid;
 
 /// A vector handed to Python.
 pub(crate) type Vector<'py> = Bound<'py, PyArray1<f64>>;
@@ -27,30 +29,46 @@ pub(crate) fn joints_array<'py>(
     flat.into_pyarray(py).reshape([planes, 4, 3])
 }
 
-/// Any array of real numbers as a float64 array; other things are a `TypeError` naming `name`.
+/// Any array of real numbers as a float64 array whose numbers lie one after the other; other things
+/// are a `TypeError` naming `name`.
 fn as_float64<'py>(
     name: &str,
     value: &Bound<'py, PyAny>,
 ) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
-    if let Ok(array) = value.cast::<PyArrayDyn<f64>>() {
+    if let Ok(array) = value.cast_exact::<PyArrayDyn<f64>>()
+        && is_dense(array)
+    {
         return Ok(array.readonly());
     }
-    let numpy = value.py().import("numpy")?;
+    let py = value.py();
+    let numpy = py.import("numpy")?;
     let refuse = |what: String| {
         PyTypeError::new_err(format!("{name} must be an array of real numbers, not {what}"))
     };
-    let Ok(array) = numpy.call_method1("asarray", (value,)) else {
-        return Err(refuse(value.get_type().name()?.to_string()));
+    let array = match numpy.call_method1("asanyarray", (value,)) {
+        Ok(array) => array,
+        Err(error) if error.is_instance_of::<PyMemoryError>(py) => return Err(error),
+        Err(_) => return Err(refuse(value.get_type().name()?.to_string())),
     };
     let dtype = array.cast::<PyUntypedArray>()?.dtype();
     let kind: String = dtype.getattr("kind")?.extract()?;
     if !matches!(kind.as_str(), "f" | "i" | "u") {
         return Err(refuse(format!("dtype {dtype}")));
     }
-    let arguments = PyDict::new(value.py());
-    arguments.set_item("dtype", "float64")?;
-    let array = numpy.call_method("asarray", (array,), Some(&arguments))?;
+    // What a mask hides is not a number to go on with.
+    if array.hasattr("mask")?
+        && numpy.getattr("ma")?.call_method1("is_masked", (&array,))?.is_truthy()?
+    {
+        return Err(refuse("one with masked entries".to_owned()));
+    }
+    let array = numpy.call_method1("require", (array, "float64", ["C", "A", "E"]))?;
     Ok(array.cast::<PyArrayDyn<f64>>()?.readonly())
+}
+
+/// Whether an array's numbers lie one after the other, row by row, where numbers may lie: what is
+/// strided by bytes, or begins between two numbers, cannot be read in place.
+pub(crate) fn is_dense<'py>(array: &impl PyUntypedArrayMethods<'py>) -> bool {
+    array.is_c_contiguous() && array.is_aligned()
 }
 
 fn shape_text(shape: &[usize]) -> String {
@@ -103,7 +121,9 @@ pub(crate) fn shaped(
             texts.join(" or ")
         )));
     }
-    let numbers: Vec<f64> = array.as_array().iter().copied().collect();
+    let given = array.as_slice()?;
+    let mut numbers = memory::reserved(name, Some(given.len())).map_err(invalid)?;
+    numbers.extend_from_slice(given);
     if let Some(position) = numbers.iter().position(|number| !number.is_finite()) {
         let mut rest = position;
         let mut index = vec![0; shape.len()];
@@ -122,30 +142,12 @@ pub(crate) fn shaped(
 }
 
 /// Pairs of neighbouring numbers.
-pub(crate) fn pairs_of(flat: &[f64]) -> Vec<[f64; 2]> {
-    flat.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()
-}
-
-/// Rows of a (T, 2) array.
-pub(crate) fn pairs(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 2]>> {
-    let (flat, _) = numbers(name, value, &[None, Some(2)])?;
-    Ok(pairs_of(&flat))
+pub(crate) fn pairs_of(flat: &[f64]) -> &[[f64; 2]] {
+    flat.as_chunks().0
 }
 
 /// A matrix of numbers in row-major order.
 pub(crate) fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> PyResult<Table<'_>> {
     let rows = flat.len() / columns;
     flat.into_pyarray(py).reshape([rows, columns])
-}
-
-/// A number of threads; what is not positive is refused by name.
-pub(crate) fn thread_count(threads: Option<i64>) -> PyResult<Option<usize>> {
-    // Whatever is negative is refused as 0 is, with its own value in the message.
-    threads
-        .map(|threads| {
-            usize::try_from(threads).map_err(|_| {
-                PyValueError::new_err(format!("threads = {threads}: expected a positive number"))
-            })
-        })
-        .transpose()
 }

@@ -1,14 +1,14 @@
 //! `_core.Episode`.
 
-use numpy::{IntoPyArray, PyArray1, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use octoarm_arm::ParameterError;
 use octoarm_env::{EpisodeConfig, Orbit, Outcome, TargetName};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Joints, Table, Vector, joints_array, numbers, table};
-use crate::errors::invalid;
+use crate::arrays::{Joints, Table, Vector, is_dense, joints_array, numbers, table};
+use crate::errors::{interruptible, invalid};
 
 /// One environment's episode; `octoarm_env.OctoArmEnv` documents it.
 #[pyclass(module = "octoarm_env._core")]
@@ -18,19 +18,17 @@ pub(crate) struct Episode {
 
 /// An action as two numbers: without a copy of the array for float32 and float64 vectors.
 fn action(value: &Bound<'_, PyAny>) -> PyResult<[f64; 2]> {
-    if let Ok(array) = value.cast::<PyArray1<f32>>()
-        && array.len() == 2
+    if let Ok(array) = value.cast_exact::<PyArray1<f32>>()
+        && is_dense(array)
+        && let [theta, phi] = array.readonly().as_slice()?
     {
-        let array = array.readonly();
-        let view = array.as_array();
-        return Ok([f64::from(view[0]), f64::from(view[1])]);
+        return Ok([f64::from(*theta), f64::from(*phi)]);
     }
-    if let Ok(array) = value.cast::<PyArray1<f64>>()
-        && array.len() == 2
+    if let Ok(array) = value.cast_exact::<PyArray1<f64>>()
+        && is_dense(array)
+        && let [theta, phi] = array.readonly().as_slice()?
     {
-        let array = array.readonly();
-        let view = array.as_array();
-        return Ok([view[0], view[1]]);
+        return Ok([*theta, *phi]);
     }
     let (numbers, _) = numbers("action", value, &[Some(2)])?;
     Ok([numbers[0], numbers[1]])
@@ -43,8 +41,7 @@ pub(crate) fn check_step<'py>(
     action: &Bound<'py, PyAny>,
     running: bool,
 ) -> PyResult<Vector<'py>> {
-    let action = self::action(action)?;
-    octoarm_env::check_step(action, running).map_err(invalid)?;
+    let action = octoarm_env::check_step(self::action(action)?, running).map_err(invalid)?;
     Ok(PyArray1::from_slice(py, &action))
 }
 
@@ -73,7 +70,7 @@ pub(crate) fn limit_cycle_signal<'py>(
     steps: usize,
 ) -> PyResult<Table<'py>> {
     let name = named(name)?;
-    let signal = py.detach(|| Orbit::teacher_signal(name, amplitude, steps));
+    let signal = interruptible(py, || Orbit::teacher_signal(name, amplitude, steps))?;
     table(py, signal.into_flattened(), 2)
 }
 
@@ -101,7 +98,7 @@ impl Episode {
     #[new]
     fn new(py: Python<'_>, config: &str) -> PyResult<Self> {
         let config = EpisodeConfig::from_json(config).map_err(invalid)?;
-        let inner = py.detach(|| octoarm_env::Episode::new(config)).map_err(invalid)?;
+        let inner = interruptible(py, || octoarm_env::Episode::new(config))?;
         Ok(Self { inner })
     }
 

@@ -1,15 +1,20 @@
 //! `_core.EpisodeBatch`.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::sync::Arc;
+
 use numpy::{IntoPyArray, PyArray1};
-use octoarm_arm::ParameterError;
+use octoarm_arm::{ParameterError, memory};
 use octoarm_env::{Autoreset, BatchStep, EpisodeConfig, Outcome};
 use pyo3::exceptions::PyValueError;
+use pyo3::ffi::PyObject;
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::{PyDict, PyList, PyString};
 
-use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table, thread_count};
-use crate::errors::invalid;
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table};
+use crate::errors::{interruptible, invalid};
 
 /// Observations, rewards, terminations, truncations, infos.
 type Step<'py> =
@@ -105,27 +110,31 @@ impl EpisodeBatch {
     #[new]
     fn new(
         py: Python<'_>,
-        configs: Vec<String>,
-        max_episode_steps: Option<u32>,
+        configs: &Bound<'_, PyList>,
+        max_episode_steps: Option<u64>,
         autoreset: &str,
-        threads: Option<i64>,
+        threads: Option<usize>,
     ) -> PyResult<Self> {
         let autoreset: Autoreset = serde_json::from_value(autoreset.into()).map_err(|error| {
             PyValueError::new_err(format!("autoreset = {autoreset:?}: {error}"))
         })?;
-        let threads = thread_count(threads)?;
-        // Environments are mostly alike: what was read last is not read again.
-        let mut read: Vec<EpisodeConfig> = Vec::with_capacity(configs.len());
-        for (index, text) in configs.iter().enumerate() {
-            let config = match read.last() {
-                Some(before) if configs[index - 1] == *text => before.clone(),
-                _ => EpisodeConfig::from_json(text).map_err(invalid)?,
+        // Environments are mostly alike: the same text is not read again.
+        let mut known: HashMap<*mut PyObject, Arc<EpisodeConfig>> = HashMap::new();
+        let what = format!("num_envs = {}", configs.len());
+        let mut read = memory::reserved(&what, Some(configs.len())).map_err(invalid)?;
+        for text in configs {
+            let config = match known.entry(text.as_ptr()) {
+                Entry::Occupied(entry) => Arc::clone(entry.get()),
+                Entry::Vacant(entry) => {
+                    let config = EpisodeConfig::from_json(text.cast::<PyString>()?.to_str()?);
+                    Arc::clone(entry.insert(Arc::new(config.map_err(invalid)?)))
+                }
             };
             read.push(config);
         }
-        let inner = py
-            .detach(|| octoarm_env::EpisodeBatch::new(read, max_episode_steps, autoreset, threads))
-            .map_err(invalid)?;
+        let inner = interruptible(py, || {
+            octoarm_env::EpisodeBatch::new(&read, max_episode_steps, autoreset, threads)
+        })?;
         Ok(Self { inner })
     }
 
@@ -146,8 +155,7 @@ impl EpisodeBatch {
 
     fn step<'py>(&mut self, py: Python<'py>, actions: &Bound<'py, PyAny>) -> PyResult<Step<'py>> {
         let (actions, _) = numbers("actions", actions, &[Some(self.inner.len()), Some(2)])?;
-        let actions = pairs_of(&actions);
-        let mut step = py.detach(|| self.inner.step(&actions)).map_err(invalid)?;
+        let mut step = py.detach(|| self.inner.step(pairs_of(&actions))).map_err(invalid)?;
         let infos = step_infos(py, &mut step)?;
         Ok((
             table(py, step.observations, self.inner.observation_len())?,

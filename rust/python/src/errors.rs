@@ -1,8 +1,10 @@
 //! Rust errors as Python exceptions.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use octoarm_arm::ParameterError;
 use pyo3::PyTypeInfo;
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 pyo3::create_exception!(
@@ -15,9 +17,31 @@ Attributes: limit (str), compartment (int, from 1 at the base), value, low, high
 step (index, within the call, of the step that was not made), lengths and outputs (what was computed before it, or None)."
 );
 
-/// A parameter error as `ValueError`.
+/// A parameter error as `ValueError`, too little memory as `MemoryError`.
 pub(crate) fn invalid(error: ParameterError) -> PyErr {
-    PyValueError::new_err(error.to_string())
+    match error {
+        ParameterError::Memory { .. } => PyMemoryError::new_err(error.to_string()),
+        _ => PyValueError::new_err(error.to_string()),
+    }
+}
+
+/// Does long work without the GIL, and gives it up when Python has a signal to handle: within 50 ms
+/// of Ctrl-C.
+pub(crate) fn interruptible<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce() -> Result<T, ParameterError> + Send,
+) -> PyResult<T> {
+    let raised: Arc<Mutex<Option<PyErr>>> = Arc::default();
+    let caught = Arc::clone(&raised);
+    let stop = move || {
+        let error = Python::attach(|py| py.check_signals()).err();
+        let stop = error.is_some();
+        *caught.lock().unwrap_or_else(PoisonError::into_inner) = error;
+        stop
+    };
+    let result = py.detach(|| octoarm_arm::interruptible(stop, work));
+    let raised = raised.lock().unwrap_or_else(PoisonError::into_inner).take();
+    raised.map_or(result.map_err(invalid), Err)
 }
 
 /// A domain error as [`DomainError`], with its attributes.

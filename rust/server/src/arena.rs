@@ -107,7 +107,7 @@ impl Arena {
             Some(count) => Body::Batch(EpisodeBatch::uniform(
                 settings.config.clone(),
                 count,
-                settings.max_episode_steps,
+                settings.max_episode_steps.map(u64::from),
                 Autoreset::NextStep,
                 Some(settings.threads),
             )?),

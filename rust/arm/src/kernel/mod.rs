@@ -271,6 +271,12 @@ impl Workspace {
         self.links.len()
     }
 
+    /// What [`Workspace::new`] asks for on the heap.
+    pub(crate) fn bytes<const L: usize>(chunks: usize) -> usize {
+        let floor = if L < WIDTH { size_of::<Floor>() } else { 0 };
+        chunks * (size_of::<Link>() + floor) + size_of::<Scratch>()
+    }
+
     pub(crate) fn new<const L: usize>(chunks: usize) -> Self {
         Self {
             links: vec![Link::ZERO; chunks],

@@ -1,0 +1,44 @@
+"""Numbers among arguments; what does not fit is refused by name, value and range."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+
+__all__ = ["generator_seed", "number", "thread_count", "whole_number"]
+
+
+def generator_seed(seed: int) -> int:
+    """Give the 64 bits that start a generator of phases: a seed below 2**64 as it is."""
+    if seed < 2**64:
+        return seed
+    return int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0])
+
+
+def thread_count(threads: Any) -> int | None:
+    """Give a number of threads, or None for as many as the processor runs at once."""
+    return None if threads is None else whole_number("threads", threads, 1, 1024)
+
+
+def whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
+    """Give an integer from `low` to `high`; True and 1.0 are none."""
+    most = "" if high is None else f" to {high}"
+    wanted = f"expected a whole number from {low}{most or ' on'}"
+    if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
+        raise TypeError(f"{name} = {value!r}: {wanted}")
+    number = operator.index(value)
+    if number < low or (high is not None and number > high):
+        raise ValueError(f"{name} = {number}: {wanted}")
+    return number
+
+
+def number(name: str, value: Any) -> float:
+    """Give a finite number."""
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise TypeError(f"{name} = {value!r}: expected a number")
+    result = float(value)
+    if not np.isfinite(result):
+        raise ValueError(f"{name} = {result}: expected a finite number")
+    return result
