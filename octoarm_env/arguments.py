@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -36,9 +37,14 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
 
 def number(name: str, value: Any) -> float:
     """Give a finite number."""
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
-        raise TypeError(f"{name} = {value!r}: expected a number")
-    result = float(value)
-    if not np.isfinite(result):
+    try:
+        if isinstance(value, bool | np.bool_ | str | bytes):
+            raise TypeError
+        result = float(value)
+    except TypeError:
+        raise TypeError(f"{name} = {value!r}: expected a number") from None
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
         raise ValueError(f"{name} = {result}: expected a finite number")
     return result

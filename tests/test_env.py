@@ -130,6 +130,9 @@ def test_targets_and_arguments() -> None:
         ({"amplitude": -1.0}, ValueError, r"amplitude = -1 .*\(0, 360\]"),
         ({"amplitude": "big"}, TypeError, "amplitude"),
         ({"amplitude": np.nan}, ValueError, "amplitude = nan"),
+        ({"amplitude": 10**400}, ValueError, "amplitude = inf"),
+        ({"amplitude": np.ones(2)}, TypeError, r"amplitude = array\(\[1., 1.\]\)"),
+        ({"amplitude": np.True_}, TypeError, "amplitude = .*True"),
         ({"amplitude": 300.0, "arm": "inertial"}, ValueError, "amplitude = 300.*left its domain"),
         ({"control_period": 0.0015}, ValueError, "control_period = 0.0015.*multiples"),
         ({"actuator": "magic"}, ValueError, "actuator = 'magic'"),
@@ -181,6 +184,20 @@ def test_bad_actions_are_refused_and_change_nothing(action, kind, words) -> None
         env.step(action)
     good = np.array([0.3, -0.4])
     assert equivalent(env.step(good), twin.step(good), exact=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "words"),
+    [
+        (5, TypeError, "options must be a mapping, not int"),
+        ({"phase": "early"}, TypeError, r"options\['phase'\] = 'early'"),
+        ({"phase": 1.5}, ValueError, "phase = 1.5"),
+        ({"turn": 0.5}, ValueError, r"unknown reset options \['turn'\]"),
+    ],
+)
+def test_bad_options_are_refused(options, kind, words) -> None:
+    with pytest.raises(kind, match=words):
+        OctoArmEnv().reset(seed=0, options=options)
 
 
 def test_order_of_calls() -> None:

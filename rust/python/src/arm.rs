@@ -106,7 +106,8 @@ impl Arm {
         mut run: impl FnMut(&mut octoarm_arm::Arm, B) -> (usize, Result<(), (usize, DomainError)>)
         + Send,
     ) -> PyResult<(usize, Option<DomainError>)> {
-        let before = self.inner.state();
+        // What is one block long has ended before Python looks at its signals again.
+        let before = (blocks.size_hint().0 > 1).then(|| self.inner.state());
         let mut done = 0;
         for block in blocks {
             let (steps, made) = py.detach(|| run(&mut self.inner, block));
@@ -114,8 +115,10 @@ impl Arm {
                 return Ok((done + step, Some(failure)));
             }
             done += steps;
-            if let Err(interrupt) = py.check_signals() {
-                self.inner.set_state(&before).map_err(invalid)?;
+            if let Some(before) = &before
+                && let Err(interrupt) = py.check_signals()
+            {
+                self.inner.set_state(before).map_err(invalid)?;
                 return Err(interrupt);
             }
         }
