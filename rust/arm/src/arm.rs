@@ -3,12 +3,14 @@
 use std::sync::Arc;
 
 use crate::base::{Actuator, BaseMotion};
-use crate::energy::{Energy, energy};
-use crate::engine::InstructionSet;
+use crate::domain::DomainError;
 use crate::equilibrium::static_equilibrium;
-use crate::error::{DomainError, ParameterError};
+use crate::error::ParameterError;
+use crate::instruction_set::{InstructionSet, Supported};
 use crate::lanes::Lanes;
 use crate::parameters::ArmParameters;
+use crate::posture::{Energy, energy};
+use crate::readout::LinearReadout;
 use crate::state::{ArmState, COORDINATES};
 
 /// Largest commanded base angle \[degrees\].
@@ -54,7 +56,7 @@ impl Arm {
         actuator: Actuator,
     ) -> Result<Self, ParameterError> {
         parameters.validate()?;
-        let lane = Lanes::new([Arc::new(parameters)], [actuator], InstructionSet::detected());
+        let lane = Lanes::new([Arc::new(parameters)], [actuator], Supported::detected());
         Ok(Self { lane, equilibrium: None })
     }
 
@@ -66,7 +68,7 @@ impl Arm {
     /// processor lacks them. The results are the same to the bit.
     #[must_use]
     pub fn with_instruction_set(mut self, instructions: InstructionSet) -> Self {
-        self.lane.instructions = instructions.min(InstructionSet::best());
+        self.lane.instructions = instructions.supported();
         self
     }
 
@@ -279,44 +281,6 @@ impl Arm {
             now.copy_from_slice(row);
         }
         Ok(())
-    }
-}
-
-/// A static linear readout of the spring lengths (Eq. 18, Eq. 26).
-#[derive(Clone, Debug, PartialEq)]
-pub struct LinearReadout {
-    /// One row a spring.
-    pub weights: Vec<[f64; 2]>,
-    /// Added to the weighted sum \[degrees\].
-    pub bias: [f64; 2],
-}
-
-impl LinearReadout {
-    /// `weightsᵀ lengths + bias` \[degrees\].
-    #[must_use]
-    #[allow(unsafe_code)]
-    pub fn output(&self, lengths: &[f64]) -> [f64; 2] {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "fma")]
-        fn fused(readout: &LinearReadout, lengths: &[f64]) -> [f64; 2] {
-            readout.sum(lengths)
-        }
-        #[cfg(target_arch = "x86_64")]
-        if InstructionSet::detected() != InstructionSet::Baseline {
-            // SAFETY: every instruction set above the baseline has FMA.
-            return unsafe { fused(self, lengths) };
-        }
-        self.sum(lengths)
-    }
-
-    #[inline(always)]
-    fn sum(&self, lengths: &[f64]) -> [f64; 2] {
-        let mut sum = self.bias;
-        for (weight, length) in self.weights.iter().zip(lengths) {
-            sum[0] = weight[0].mul_add(*length, sum[0]);
-            sum[1] = weight[1].mul_add(*length, sum[1]);
-        }
-        sum
     }
 }
 

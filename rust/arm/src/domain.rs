@@ -8,7 +8,6 @@
 //! (the quadratic cycle of 130 degrees on a directly driven base), while a strut below a tenth of its
 //! height was never seen to come back.
 
-use crate::error::{DomainError, Limit};
 use crate::kernel::{Block, Lengths, Row, WIDTH, lane_row};
 use crate::parameters::ArmParameters;
 use crate::state::COORDINATES;
@@ -21,6 +20,72 @@ pub const HEIGHT: (f64, f64) = (0.1, 3.0);
 pub const RADIUS: (f64, f64) = (0.2, 3.0);
 /// Longitudinal spring length relative to its rest length.
 pub const SPRING_LENGTH: (f64, f64) = (0.05, 3.0);
+
+/// The limits within which the model speaks of a soft arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// A universal joint's angle |α| or |β| \[rad\].
+    BendAngle,
+    /// A strut's height relative to its rest height.
+    Height,
+    /// A radius relative to its rest value.
+    Radius,
+    /// A longitudinal spring's length relative to its rest length.
+    SpringLength,
+    /// A coordinate or rate that is not a finite number.
+    NotFinite,
+}
+
+impl Limit {
+    /// The limit's name as it appears in messages and in `info["failure"]`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BendAngle => "bend_angle",
+            Self::Height => "height",
+            Self::Radius => "radius",
+            Self::SpringLength => "spring_length",
+            Self::NotFinite => "not_finite",
+        }
+    }
+}
+
+/// The arm has left the domain in which the model describes it. The arm keeps its last valid state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DomainError {
+    /// Which limit was passed.
+    pub limit: Limit,
+    /// The compartment, counted from 1 at the base.
+    pub compartment: usize,
+    /// The value found (relative to rest, or radians for the bend angle).
+    pub value: f64,
+    /// The lower limit.
+    pub low: f64,
+    /// The upper limit.
+    pub high: f64,
+    /// Time since the last reset at which the failing step would have ended \[s\].
+    pub time: f64,
+}
+
+impl std::fmt::Display for DomainError {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { limit, compartment, value, low, high, time } = self;
+        write!(formatter, "the arm left its domain: ")?;
+        match limit {
+            Limit::NotFinite => {
+                write!(formatter, "compartment {compartment} has no finite state")?;
+            }
+            _ => write!(
+                formatter,
+                "{} of compartment {compartment} is {value:.4}, allowed {low:.4} to {high:.4}",
+                limit.name()
+            )?,
+        }
+        write!(formatter, ", at t = {time:.4} s")
+    }
+}
+
+impl std::error::Error for DomainError {}
 
 /// Finds the first limit that the state passes, base to tip.
 ///

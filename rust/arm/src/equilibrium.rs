@@ -3,10 +3,11 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::BaseMotion;
-use crate::engine::{Engine, InstructionSet};
 use crate::error::ParameterError;
+use crate::instruction_set::Supported;
 use crate::interrupt::poll;
 use crate::parameters::ArmParameters;
+use crate::runge_kutta::Integrator;
 use crate::state::{ArmState, COORDINATES};
 
 /// Newton steps for one gravity load.
@@ -18,26 +19,26 @@ const EXACT: f64 = 1e-11;
 
 /// Accelerations at rest in the given shape, as one vector.
 fn residual(
-    engine: &mut Engine<1>,
-    instructions: InstructionSet,
+    integrator: &mut Integrator<1>,
+    instructions: Supported,
     shape: &DVector<f64>,
     still: &[[f64; COORDINATES]],
 ) -> DVector<f64> {
     let coordinates: Vec<[f64; COORDINATES]> =
         (0..still.len()).map(|j| std::array::from_fn(|k| shape[j * COORDINATES + k])).collect();
-    engine.set_state(0, &coordinates, still);
-    let accelerations = engine.accelerations(instructions, &BaseMotion::default());
+    integrator.set_state(0, &coordinates, still);
+    let accelerations = integrator.accelerations(instructions, &BaseMotion::default());
     DVector::from_iterator(shape.len(), accelerations.into_iter().flatten())
 }
 
 fn solve(
-    engine: &mut Engine<1>,
-    instructions: InstructionSet,
+    integrator: &mut Integrator<1>,
+    instructions: Supported,
     mut shape: DVector<f64>,
     still: &[[f64; COORDINATES]],
 ) -> Result<(DVector<f64>, f64), ParameterError> {
     let size = shape.len();
-    let mut left = residual(engine, instructions, &shape, still);
+    let mut left = residual(integrator, instructions, &shape, still);
     for _ in 0..ITERATIONS {
         let before = left.amax();
         if before <= EXACT {
@@ -49,9 +50,9 @@ fn solve(
             let width = 1e-7;
             let mut moved = shape.clone();
             moved[column] += width;
-            let plus = residual(engine, instructions, &moved, still);
+            let plus = residual(integrator, instructions, &moved, still);
             moved[column] -= 2.0 * width;
-            let minus = residual(engine, instructions, &moved, still);
+            let minus = residual(integrator, instructions, &moved, still);
             jacobian.set_column(column, &((plus - minus) / (2.0 * width)));
         }
         let Some(step) = jacobian.lu().solve(&left) else { break };
@@ -60,7 +61,7 @@ fn solve(
         let mut improved = false;
         while fraction > 1e-4 {
             let trial = &shape - &step * fraction;
-            let trial_left = residual(engine, instructions, &trial, still);
+            let trial_left = residual(integrator, instructions, &trial, still);
             if trial_left.amax() < before {
                 shape = trial;
                 left = trial_left;
@@ -85,7 +86,7 @@ fn solve(
 /// domain, and need not be stable. [`ParameterError::Interrupted`].
 pub(crate) fn static_equilibrium(
     parameters: &ArmParameters,
-    instructions: InstructionSet,
+    instructions: Supported,
 ) -> Result<ArmState, ParameterError> {
     let undeformed = ArmState::undeformed(parameters);
     let start = DVector::from_iterator(
@@ -102,7 +103,7 @@ pub(crate) fn static_equilibrium(
                 ..parameters.clone()
             };
             (shape, worst) =
-                solve(&mut Engine::new(&[&loaded]), instructions, shape, &undeformed.rates)?;
+                solve(&mut Integrator::new(&[&loaded]), instructions, shape, &undeformed.rates)?;
             if worst > AT_REST || worst.is_nan() {
                 break;
             }

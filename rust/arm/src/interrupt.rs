@@ -45,18 +45,3 @@ pub fn poll() -> Result<(), ParameterError> {
         _ => Ok(()),
     })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Actuator, Arm, ArmParameters};
-
-    #[test]
-    fn a_search_that_is_told_to_stop_stops() {
-        let parameters = ArmParameters { compartments: 200, ..ArmParameters::default() };
-        let result =
-            interruptible(|| true, || Arm::new(parameters.clone(), Actuator::Direct).err());
-        assert_eq!(result, Some(ParameterError::Interrupted));
-        assert_eq!(poll(), Ok(()));
-    }
-}

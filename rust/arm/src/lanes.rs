@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use crate::arm::Arm;
 use crate::base::{Actuator, BaseDrive, BaseMotion, BaseRows};
-use crate::domain::find_failure;
-use crate::engine::{Engine, InstructionSet};
-use crate::error::{DomainError, ParameterError};
-use crate::kernel::{Muscles, WIDTH, place};
+use crate::domain::{DomainError, find_failure};
+use crate::error::ParameterError;
+use crate::instruction_set::Supported;
+use crate::kernel::{Muscles, place};
 use crate::parameters::ArmParameters;
+use crate::runge_kutta::{Integrator, advance, refresh};
 use crate::state::{ArmState, COORDINATES, MuscleRow};
 
 /// `L` arms with the same number of compartments, each with its own parameters and actuator.
@@ -16,8 +16,8 @@ use crate::state::{ArmState, COORDINATES, MuscleRow};
 pub(crate) struct Lanes<const L: usize> {
     parameters: [Arc<ArmParameters>; L],
     drive: BaseDrive<L>,
-    engine: Engine<L>,
-    pub(crate) instructions: InstructionSet,
+    integrator: Integrator<L>,
+    pub(crate) instructions: Supported,
     base: [[f64; L]; 4],
     steps: [u64; L],
     failures: [Option<DomainError>; L],
@@ -28,12 +28,12 @@ impl<const L: usize> Lanes<L> {
     pub(crate) fn new(
         parameters: [Arc<ArmParameters>; L],
         actuators: [Actuator; L],
-        instructions: InstructionSet,
+        instructions: Supported,
     ) -> Self {
         let arms = std::array::from_fn(|lane| &*parameters[lane]);
         Self {
             drive: BaseDrive::new(&std::array::from_fn(|lane| (arms[lane], actuators[lane]))),
-            engine: Engine::new(&arms),
+            integrator: Integrator::new(&arms),
             instructions,
             base: [[0.0; L]; 4],
             steps: [0; L],
@@ -75,8 +75,8 @@ impl<const L: usize> Lanes<L> {
                 .collect::<Vec<[f64; COORDINATES]>>()
         };
         ArmState {
-            coordinates: read(&|j, index| self.engine.coordinate(lane, j, index)),
-            rates: read(&|j, index| self.engine.rate(lane, j, index)),
+            coordinates: read(&|j, index| self.integrator.coordinate(lane, j, index)),
+            rates: read(&|j, index| self.integrator.rate(lane, j, index)),
             base: self.base(lane),
             steps: self.steps[lane],
             muscles: self.muscle_rows(lane),
@@ -91,7 +91,7 @@ impl<const L: usize> Lanes<L> {
     /// [`Lanes::restore`] of several lanes: the spring lengths of all are computed once.
     pub(crate) fn restore_many(&mut self, states: &[(usize, &ArmState)]) {
         for (lane, state) in states {
-            self.engine.set_state(*lane, &state.coordinates, &state.rates);
+            self.integrator.set_state(*lane, &state.coordinates, &state.rates);
             for (row, value) in self.base.iter_mut().zip(state.base) {
                 row[*lane] = value;
             }
@@ -100,7 +100,7 @@ impl<const L: usize> Lanes<L> {
                 self.set_muscle_row(*lane, j, state.muscles.get(j).unwrap_or(&[0.0; 8]));
             }
         }
-        self.engine.refresh(self.instructions, &());
+        refresh(self.instructions, &mut self.integrator, ());
     }
 
     /// Puts a lane into a state, which is checked.
@@ -129,7 +129,7 @@ impl<const L: usize> Lanes<L> {
 
     fn set_muscle_row(&mut self, lane: usize, j: usize, row: &MuscleRow) {
         let (chunk, slot) = place::<L>(j);
-        let Muscles { longitudinal: xi, transverse: delta } = &mut self.engine.muscles[chunk];
+        let Muscles { longitudinal: xi, transverse: delta } = &mut self.integrator.muscles[chunk];
         for i in 0..4 {
             xi[i][slot + lane] = row[i];
             delta[i][slot + lane] = row[4 + i];
@@ -140,7 +140,7 @@ impl<const L: usize> Lanes<L> {
     fn muscle_rows(&self, lane: usize) -> Vec<MuscleRow> {
         let row = |j| -> MuscleRow {
             let (chunk, slot) = place::<L>(j);
-            let Muscles { longitudinal: xi, transverse: delta } = &self.engine.muscles[chunk];
+            let Muscles { longitudinal: xi, transverse: delta } = &self.integrator.muscles[chunk];
             std::array::from_fn(|i| if i < 4 { xi[i] } else { delta[i - 4] }[slot + lane])
         };
         let rows: Vec<MuscleRow> = (0..self.compartments()).map(row).collect();
@@ -184,7 +184,7 @@ impl<const L: usize> Lanes<L> {
             .flat_map(|j| (0..4).map(move |i| (j, i)))
             .map(|(j, i)| {
                 let (chunk, slot) = place::<L>(j);
-                let muscles = &self.engine.muscles[chunk];
+                let muscles = &self.integrator.muscles[chunk];
                 (muscles.longitudinal[i][slot + lane], muscles.transverse[i][slot + lane])
             })
             .unzip()
@@ -192,7 +192,7 @@ impl<const L: usize> Lanes<L> {
 
     /// Writes an arm's spring lengths in observation order.
     pub(crate) fn lengths_into(&self, lane: usize, out: &mut [f64]) {
-        self.engine.lengths_into(lane, &mut out[..self.observation_len()]);
+        self.integrator.lengths_into(lane, &mut out[..self.observation_len()]);
     }
 
     /// The bases' motion over the next step under commands in degrees: start, middle and end.
@@ -206,7 +206,7 @@ impl<const L: usize> Lanes<L> {
     /// [`Lanes::failure`] says why.
     pub(crate) fn step(&mut self, commands: &[[f64; 2]; L], active: &[bool; L]) -> bool {
         let motion = self.motion(commands);
-        let inside = self.engine.advance(self.instructions, &motion);
+        let inside = advance(self.instructions, &mut self.integrator, &motion);
         let mut made = *active;
         let complete = (0..L).all(|lane| inside[lane] || !active[lane]) || {
             for lane in 0..L {
@@ -217,7 +217,7 @@ impl<const L: usize> Lanes<L> {
             }
             made == *active
         };
-        self.engine.accept_lanes(&made);
+        self.integrator.accept_lanes(&made);
         let end = motion[2].state();
         for lane in 0..L {
             if made[lane] {
@@ -239,18 +239,18 @@ impl<const L: usize> Lanes<L> {
     pub(crate) fn present_failure(&self, lane: usize) -> Option<DomainError> {
         self.find_failure(
             lane,
-            |j, index| self.engine.coordinate(lane, j, index),
-            |j, index| self.engine.rate(lane, j, index),
-            |j, i| self.engine.length(lane, j, i),
+            |j, index| self.integrator.coordinate(lane, j, index),
+            |j, index| self.integrator.rate(lane, j, index),
+            |j, i| self.integrator.length(lane, j, i),
         )
     }
 
     fn refusal(&self, lane: usize) -> Option<DomainError> {
         self.find_failure(
             lane,
-            |j, index| self.engine.refused(lane, j).0[index],
-            |j, index| self.engine.refused(lane, j).1[index],
-            |j, i| self.engine.refused(lane, j).2[i],
+            |j, index| self.integrator.refused(lane, j).0[index],
+            |j, index| self.integrator.refused(lane, j).1[index],
+            |j, i| self.integrator.refused(lane, j).2[i],
         )
     }
 
@@ -269,157 +269,6 @@ impl<const L: usize> Lanes<L> {
 
 impl Lanes<1> {
     pub(crate) fn accelerations(&mut self, base: &BaseMotion) -> Vec<[f64; COORDINATES]> {
-        self.engine.accelerations(self.instructions, base)
-    }
-}
-
-/// Up to [`ArmLanes::WIDTH`] arms that step together, one in each lane of the vector registers: many
-/// times the speed of one [`Arm`], and every arm has the very bits that it would have alone,
-/// whatever its neighbours do.
-///
-/// ```
-/// use octoarm_arm::{Actuator, Arm, ArmLanes, ArmParameters};
-/// let mut arm = Arm::new(ArmParameters::default(), Actuator::Servo)?;
-/// let mut lanes = ArmLanes::new(&[&arm, &arm, &arm])?;
-/// let commands = [[10.0, 0.0]; ArmLanes::WIDTH];
-/// assert!(lanes.step(&commands, &[true; ArmLanes::WIDTH]));
-/// arm.step([10.0, 0.0])?;
-/// assert_eq!(lanes.state(2), arm.state());
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Clone, Debug)]
-pub struct ArmLanes {
-    lanes: Lanes<WIDTH>,
-    count: usize,
-}
-
-impl ArmLanes {
-    /// Number of lanes.
-    pub const WIDTH: usize = WIDTH;
-
-    /// Takes copies of arms, their states and muscle inputs; the instruction set is the first's.
-    /// Parameters and actuators may differ from arm to arm.
-    ///
-    /// # Errors
-    /// [`ParameterError::OutOfRange`] for no arms, more than [`ArmLanes::WIDTH`], or different
-    /// numbers of compartments.
-    pub fn new(arms: &[&Arm]) -> Result<Self, ParameterError> {
-        let refuse = |name: &str, value: usize, range: String| {
-            Err(ParameterError::OutOfRange {
-                name: name.to_owned(),
-                value: value.to_string(),
-                range,
-            })
-        };
-        let Some(first) = arms.first().filter(|_| arms.len() <= WIDTH) else {
-            return refuse("arms", arms.len(), format!("[1, {WIDTH}] arms"));
-        };
-        let compartments = first.parameters().compartments;
-        for arm in arms {
-            if arm.parameters().compartments != compartments {
-                let range = format!("{compartments}, as the first arm's");
-                return refuse("compartments", arm.parameters().compartments, range);
-            }
-        }
-        // Lanes without an arm hold another copy of the first, which never steps.
-        let arm = |lane: usize| arms.get(lane).unwrap_or(first).lane();
-        let mut lanes = Lanes::new(
-            std::array::from_fn(|lane| Arc::clone(arm(lane).parameters(0))),
-            std::array::from_fn(|lane| arm(lane).actuator(0)),
-            first.lane().instructions,
-        );
-        let states: [ArmState; WIDTH] = std::array::from_fn(|lane| arm(lane).state(0));
-        let states: Vec<(usize, &ArmState)> = states.iter().enumerate().collect();
-        lanes.restore_many(&states);
-        Ok(Self { lanes, count: arms.len() })
-    }
-
-    /// Memory of `WIDTH` arms with this many compartments \[bytes\], rounded up.
-    #[must_use]
-    pub fn bytes(compartments: usize) -> usize {
-        size_of::<Self>() + Engine::<WIDTH>::bytes(compartments)
-    }
-
-    /// Number of arms.
-    #[must_use]
-    #[allow(clippy::len_without_is_empty)]
-    pub fn len(&self) -> usize {
-        self.count
-    }
-
-    /// An arm's parameters.
-    #[must_use]
-    pub fn parameters(&self, lane: usize) -> &ArmParameters {
-        self.lanes.parameters(lane)
-    }
-
-    /// How an arm's base follows its command.
-    #[must_use]
-    pub fn actuator(&self, lane: usize) -> Actuator {
-        self.lanes.actuator(lane)
-    }
-
-    /// Number of observed spring lengths of an arm.
-    #[must_use]
-    pub fn observation_len(&self) -> usize {
-        self.lanes.observation_len()
-    }
-
-    /// An arm's complete state.
-    #[must_use]
-    pub fn state(&self, lane: usize) -> ArmState {
-        self.lanes.state(lane)
-    }
-
-    /// Restores an arm's state exactly.
-    ///
-    /// # Errors
-    /// As [`Arm::set_state`]; the arm is then unchanged.
-    pub fn set_state(&mut self, lane: usize, state: &ArmState) -> Result<(), ParameterError> {
-        self.lanes.set_state(lane, state)
-    }
-
-    /// Puts arms into states that these very bodies have been in, without checks.
-    pub fn restore(&mut self, states: &[(usize, &ArmState)]) {
-        self.lanes.restore_many(states);
-    }
-
-    /// An arm's muscle inputs ξ_c and δ_c \[N\], in observation order.
-    #[must_use]
-    pub fn muscles(&self, lane: usize) -> (Vec<f64>, Vec<f64>) {
-        self.lanes.muscles(lane)
-    }
-
-    /// The base angles θ, φ of an arm \[degrees\].
-    #[must_use]
-    pub fn base_degrees(&self, lane: usize) -> [f64; 2] {
-        let [theta, phi, _, _] = self.lanes.base(lane);
-        [theta.to_degrees(), phi.to_degrees()]
-    }
-
-    /// Writes an arm's spring lengths \[m\], index 4 (j − 1) + (i − 1).
-    ///
-    /// # Panics
-    /// If `out` is shorter than [`ArmLanes::observation_len`].
-    pub fn lengths_into(&self, lane: usize, out: &mut [f64]) {
-        self.lanes.lengths_into(lane, out);
-    }
-
-    /// One physics step of the active arms under their commands θ, φ \[degrees\]; the others wait.
-    /// Lanes without an arm never step.
-    ///
-    /// Returns whether every active arm made its step. One whose step would leave the domain keeps
-    /// its state, [`ArmLanes::failure`] says why, and the others are not touched by it.
-    #[must_use]
-    pub fn step(&mut self, commands: &[[f64; 2]; WIDTH], active: &[bool; WIDTH]) -> bool {
-        let mut active = *active;
-        active[self.count..].fill(false);
-        self.lanes.step(commands, &active)
-    }
-
-    /// Why an arm was refused in the last step that not all made; none if it made it.
-    #[must_use]
-    pub fn failure(&self, lane: usize) -> Option<DomainError> {
-        self.lanes.failure(lane)
+        self.integrator.accelerations(self.instructions, base)
     }
 }

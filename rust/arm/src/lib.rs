@@ -6,27 +6,33 @@
 //! data-dependent order of summation, the same result on every instruction set.
 
 mod arm;
+mod arm_lanes;
 mod base;
 pub mod domain;
-mod energy;
-mod engine;
 mod equilibrium;
 mod error;
-pub mod geometry;
+mod instruction_set;
 mod interrupt;
+mod json;
 mod kernel;
 mod lanes;
 pub mod memory;
 mod parameters;
+mod posture;
+mod readout;
+mod runge_kutta;
 mod state;
 pub mod transcendental;
 
-pub use arm::{Arm, COMMAND_LIMIT, LinearReadout, check_command};
+pub use arm::{Arm, COMMAND_LIMIT, check_command};
+pub use arm_lanes::ArmLanes;
 pub use base::{Actuator, BaseMotion, Servo};
-pub use energy::Energy;
-pub use engine::InstructionSet;
-pub use error::{DomainError, Limit, ParameterError, read_json};
+pub use domain::{DomainError, Limit};
+pub use error::ParameterError;
+pub use instruction_set::InstructionSet;
 pub use interrupt::{interruptible, poll};
-pub use lanes::ArmLanes;
+pub use json::read_json;
 pub use parameters::{ArmParameters, BaseCoupling, ReferenceArea, VolumeForce};
+pub use posture::Energy;
+pub use readout::LinearReadout;
 pub use state::{ArmState, COORDINATES, MuscleRow};

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{ParameterError, read_json};
+use crate::error::ParameterError;
+use crate::json::read_json;
 
 /// Which area Eqs. 12–13 multiply (the paper's `A_r`), before `area_scale`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -343,7 +344,7 @@ impl ArmParameters {
     /// Rest volume `V_0` of compartment `compartment` (counted from 0) \[m³\].
     #[must_use]
     pub fn rest_volume(&self, compartment: usize) -> f64 {
-        crate::geometry::frustum_volume(
+        frustum_volume(
             self.rest_radius(compartment),
             self.rest_radius(compartment + 1),
             self.rest_height(),
@@ -355,6 +356,15 @@ impl ArmParameters {
     pub fn joint_mass(&self) -> f64 {
         self.longitudinal_mass_share * self.longitudinal_mass + self.transverse_mass
     }
+}
+
+/// Volume of a circular truncated cone, `π h / 3 (R_b² + R_b R_t + R_t²)` \[m³\].
+pub(crate) fn frustum_volume(floor_radius: f64, ceiling_radius: f64, height: f64) -> f64 {
+    std::f64::consts::PI / 3.0
+        * height
+        * (floor_radius * floor_radius
+            + floor_radius * ceiling_radius
+            + ceiling_radius * ceiling_radius)
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::energy::{joints, plane_centres};
 use crate::error::ParameterError;
 use crate::parameters::ArmParameters;
 
@@ -48,19 +47,6 @@ impl ArmState {
             steps: 0,
             muscles: Vec::new(),
         }
-    }
-
-    /// Centres of all planes, base first \[m\].
-    #[must_use]
-    pub fn positions(&self) -> Vec<[f64; 3]> {
-        plane_centres(self)
-    }
-
-    /// Ends of the longitudinal springs on all planes, base first, springs 1 to 4 of each \[m\];
-    /// spring i of compartment j runs from `joints[j - 1][i - 1]` to `joints[j][i - 1]`.
-    #[must_use]
-    pub fn joints(&self, parameters: &ArmParameters) -> Vec<[[f64; 3]; 4]> {
-        joints(parameters, self)
     }
 
     /// Checks that the state fits a body of `compartments` compartments and holds finite numbers.

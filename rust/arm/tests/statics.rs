@@ -1,7 +1,6 @@
 //! The arm at rest: the springs carry the weight beyond them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-use octoarm_arm::geometry::volumes;
 use octoarm_arm::{Actuator, Arm, ArmParameters, ParameterError, VolumeForce};
 
 /// Tension that the passive springs of compartment `j` and their volume force (Eq. 7) hold at rest,
@@ -18,7 +17,7 @@ fn axial_tension(arm: &Arm, j: usize) -> f64 {
         h + r3 * alpha.cos() * beta.sin(),
         h - r4 * alpha.sin(),
     ];
-    let excess = volumes(p, &state)[j] - p.rest_volume(j);
+    let excess = state.volumes(p)[j] - p.rest_volume(j);
     let lengths = &arm.lengths()[4 * j..4 * j + 4];
     (0..4)
         .map(|i| {
@@ -37,7 +36,7 @@ fn axial_tension(arm: &Arm, j: usize) -> f64 {
 fn axial_load(arm: &Arm, j: usize) -> f64 {
     let p = arm.parameters();
     let centres = arm.positions();
-    let volume: f64 = volumes(p, &arm.state())[j..].iter().sum();
+    let volume: f64 = arm.state().volumes(p)[j..].iter().sum();
     let along: f64 =
         (0..3).map(|axis| p.gravity[axis] * (centres[j + 1][axis] - centres[j][axis])).sum::<f64>()
             / arm.state().coordinates[j][0];
@@ -111,7 +110,7 @@ fn the_rings_balance_the_slant_of_the_springs_and_the_volume_force() {
     let p = arm.parameters();
     let state = arm.state();
     let lengths = arm.lengths();
-    let volumes = volumes(p, &state);
+    let volumes = state.volumes(p);
     // Inward pull on the upper and outward pull on the lower joint of a slanting spring.
     let slant = |j: usize| {
         let floor = if j == 0 { p.base_radius } else { state.coordinates[j - 1][3] };
@@ -258,4 +257,13 @@ fn an_equilibrium_outside_the_domain_is_none() {
     };
     let message = Arm::new(parameters, Actuator::Direct).unwrap_err().to_string();
     assert!(message.contains("height of compartment 1"), "{message}");
+}
+
+#[test]
+fn a_search_that_is_told_to_stop_stops() {
+    let parameters = ArmParameters { compartments: 200, ..ArmParameters::default() };
+    let work = || Arm::new(parameters, Actuator::Direct).err();
+    let result = octoarm_arm::interruptible(|| true, work);
+    assert_eq!(result, Some(octoarm_arm::ParameterError::Interrupted));
+    assert_eq!(octoarm_arm::poll(), Ok(()));
 }

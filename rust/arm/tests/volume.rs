@@ -3,7 +3,6 @@
 
 mod reference;
 
-use octoarm_arm::geometry::volumes;
 use octoarm_arm::{Actuator, Arm, ArmParameters, BaseMotion, VolumeForce};
 use reference::random_state;
 
@@ -20,11 +19,7 @@ fn without_gains(parameters: &ArmParameters) -> ArmParameters {
 /// V − V_0 of every compartment \[m³\].
 fn excess(arm: &Arm) -> Vec<f64> {
     let p = arm.parameters();
-    volumes(p, &arm.state())
-        .iter()
-        .enumerate()
-        .map(|(j, volume)| volume - p.rest_volume(j))
-        .collect()
+    arm.state().volumes(p).iter().enumerate().map(|(j, volume)| volume - p.rest_volume(j)).collect()
 }
 
 /// One compartment at rest, straight, stretched and widened by the factors given, all four springs
@@ -100,7 +95,7 @@ fn equation_8_draws_the_rings_of_a_swollen_compartment_in() {
             let excess = excess(&with)[0];
             let weight = (body.arm_density - body.water_density)
                 * body.gravity[2]
-                * volumes(with.parameters(), &with.state())[0];
+                * with.state().volumes(with.parameters())[0];
             let spring = match volume_force {
                 VolumeForce::Applied => -body.longitudinal_volume_gain * spread.abs() * excess,
                 VolumeForce::Total => {

@@ -8,8 +8,11 @@
 
 use std::ops::Range;
 
+use super::body::Material;
 use super::plane::Plane;
-use super::{Block, Link, Material, Row, WIDTH};
+use super::rows::{Block, Row, WIDTH};
+use super::trigonometry::Angles;
+use super::water::External;
 
 /// What the outward sweep needs of each joint, divided by the joint's inertia.
 #[derive(Clone, Copy, Debug)]
@@ -74,6 +77,7 @@ impl<const L: usize> Carried<L> {
 }
 
 /// Tip to base: projects every joint of a chunk out of the inertia beyond it.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(crate) fn inward<const L: usize>(
     slots: Range<usize>,
@@ -81,10 +85,11 @@ pub(crate) fn inward<const L: usize>(
     material: &Material,
     coordinates: &Block,
     plane: &Plane,
-    link: &mut Link,
+    trig: &Angles,
+    external: &External,
+    out: &mut Joints,
 ) {
     let q = &coordinates.0;
-    let Link { angles: trig, external, joints: out, .. } = link;
     let pull = &external.force;
     for slot in slots.step_by(L).rev() {
         for lane in 0..L {
@@ -274,16 +279,18 @@ impl<const L: usize> Travel<L> {
 }
 
 /// Base to tip: the accelerations of a chunk's coordinates.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(crate) fn outward<const L: usize>(
     slots: Range<usize>,
     travel: &mut Travel<L>,
     coordinates: &Block,
-    link: &Link,
+    trig: &Angles,
+    radial: &[Row; 4],
+    joint: &Joints,
     accelerations: &mut Block,
 ) {
     let q = &coordinates.0;
-    let Link { angles: trig, radial, joints: joint, .. } = link;
     let Travel { psi, linear } = travel;
     let out = &mut accelerations.0;
     for slot in slots.step_by(L) {

@@ -6,8 +6,56 @@
 
 use std::ops::Range;
 
+use super::rows::{Block, Row, WIDTH};
 use super::trigonometry::Angles;
-use super::{BaseFrame, Block, Row, WIDTH};
+use crate::base::BaseRows;
+use crate::transcendental::sin_cos;
+
+/// The base's motion in its own frame, one value a lane.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct BaseFrame<const L: usize> {
+    /// Angular velocity.
+    pub(crate) omega: [[f64; L]; 3],
+    /// Angular acceleration.
+    pub(crate) psi: [[f64; L]; 3],
+    /// Gravity.
+    pub(crate) gravity: [[f64; L]; 3],
+}
+
+impl<const L: usize> BaseFrame<L> {
+    /// The bases' motion as their own frames see it. Under [`crate::BaseCoupling::Gravity`] these frames are
+    /// the arms' world: they stand still, and only gravity turns in them; `carries` says which arms a
+    /// turning base carries along. `gravity` is the world's.
+    #[inline(always)]
+    pub(crate) fn new(motion: &BaseRows<L>, gravity: &[[f64; L]; 3], carries: &[bool; L]) -> Self {
+        let mut frame = Self { omega: [[0.0; L]; 3], psi: [[0.0; L]; 3], gravity: [[0.0; L]; 3] };
+        for lane in 0..L {
+            let (sine_theta, cosine_theta) = sin_cos(motion.angle[0][lane]);
+            let (s, c) = sin_cos(motion.angle[1][lane]);
+            let felt = |value: f64| if carries[lane] { value } else { 0.0 };
+            let (theta_rate, phi_rate) = (felt(motion.rate[0][lane]), felt(motion.rate[1][lane]));
+            let theta_acceleration = felt(motion.acceleration[0][lane]);
+            let phi_acceleration = felt(motion.acceleration[1][lane]);
+            // R_0 = R_x(θ) R_y(φ): ω = θ̇ R_yᵀ x + φ̇ y.
+            frame.omega[0][lane] = c * theta_rate;
+            frame.omega[1][lane] = phi_rate;
+            frame.omega[2][lane] = s * theta_rate;
+            frame.psi[0][lane] = c.mul_add(theta_acceleration, -(s * theta_rate * phi_rate));
+            frame.psi[1][lane] = phi_acceleration;
+            frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
+            let (x, y, z) = (gravity[0][lane], gravity[1][lane], gravity[2][lane]);
+            let (y, z) = (
+                cosine_theta.mul_add(y, sine_theta * z),
+                cosine_theta.mul_add(z, -(sine_theta * y)),
+            );
+            frame.gravity[0][lane] = c.mul_add(x, -(s * z));
+            frame.gravity[1][lane] = y;
+            frame.gravity[2][lane] = c.mul_add(z, s * x);
+        }
+        frame
+    }
+}
 
 /// Motion of a compartment's ceiling plane with q̈ = 0, in the plane's frame.
 #[derive(Clone, Copy, Debug)]

@@ -6,9 +6,10 @@
 //! m·diag(r2² + r4², r1² + r3², Σ r²), the linear block m·diag(2, 2, 4) and the coupling m·[s]×,
 //! s = (r1 − r3, r2 − r4, 0).
 
+use super::body::Material;
 use super::kinematics::Motion;
+use super::rows::{Block, Row, WIDTH};
 use super::springs::{BOTTOM_Y, Bottom, Top};
-use super::{Block, Material, Row, WIDTH};
 
 /// What the articulated-body recursion needs of a plane, in the plane's frame.
 #[derive(Clone, Copy, Debug)]

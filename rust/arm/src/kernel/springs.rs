@@ -4,9 +4,10 @@
 //! floor. Its vector is taken in the floor's frame, `d = h z + σ (r e − r_0 u)`, where `e` is the
 //! image of the axis `u` under `R_x(α) R_y(β)` and σ = ±1 tells springs 1, 2 from 3, 4.
 
+use super::body::{Material, Rest};
+use super::rows::{Block, FloorRef, Muscles, Row, WIDTH};
 use super::trigonometry::Angles;
 use super::water::External;
-use super::{Block, FloorRef, Material, Muscles, Rest, Row, WIDTH};
 
 /// Forces on the ceiling's joints, ceiling's frame: of the four springs, and the transverse τ.
 #[derive(Clone, Copy, Debug)]

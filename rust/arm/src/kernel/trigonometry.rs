@@ -1,6 +1,6 @@
 //! Sines and cosines of the universal joints.
 
-use super::{Block, Row, WIDTH};
+use super::rows::{Block, Row, WIDTH};
 use crate::transcendental::sin_cos;
 
 /// Sines and cosines of α and β.

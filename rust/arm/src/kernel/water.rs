@@ -3,8 +3,9 @@
 //! In the frame of the compartment's floor the strut is the z-axis, so the angle of incidence is that
 //! between the velocity and z.
 
+use super::body::{Material, Rest};
 use super::kinematics::Flow;
-use super::{Block, FloorRef, Material, Rest, Row, WIDTH};
+use super::rows::{Block, FloorRef, Row, WIDTH};
 use crate::transcendental::atan_small;
 
 /// External force on the ceiling plane's centre and the compartment's excess volume.

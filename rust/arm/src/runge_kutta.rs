@@ -1,20 +1,18 @@
-//! The fourth-order Runge–Kutta step over chunks, and the choice of instruction set.
-
-use std::sync::OnceLock;
+//! The fourth-order Runge–Kutta step over chunks.
 
 use crate::base::{BaseMotion, BaseRows};
 use crate::domain::{Bounds, mark_outside};
+use crate::instruction_set::{Supported, compiled_for_each_set};
 use crate::kernel::{
-    BLOCK, BaseFrame, Block, Body, Lengths, Material, Muscles, Rest, Row, WIDTH, Workspace,
-    accelerations, articulated, inward, kinematics, lane_row, outward, place, spring_lengths,
+    BLOCK, BaseFrame, Block, Body, InertiaTravel, Lengths, Material, MotionTravel, Muscles, Rest,
+    Row, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, spring_lengths,
 };
 use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::COORDINATES;
-use crate::transcendental::sin_cos;
 
 /// State and scratch memory of `L` arms with the same number of compartments.
 #[derive(Clone, Debug)]
-pub(crate) struct Engine<const L: usize> {
+pub(crate) struct Integrator<const L: usize> {
     body: Body<L>,
     bounds: Box<Bounds>,
     shares: Box<Shares>,
@@ -46,58 +44,6 @@ struct Shares {
     sixth: Row,
 }
 
-/// Vector instructions that a step may be compiled for. The bits are the same for all of them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum InstructionSet {
-    /// What every processor of the architecture has. Without fused multiply-add in hardware this is
-    /// slow: the bits come first.
-    Baseline,
-    /// AVX2 and FMA.
-    Avx2,
-    /// AVX-512 (F, DQ, VL, BW) and FMA.
-    Avx512,
-}
-
-impl InstructionSet {
-    /// The best set of this processor, or the one that the environment variable
-    /// `OCTOARM_INSTRUCTION_SET` (`baseline`, `avx2`, `avx512`) names, if the processor has it.
-    #[must_use]
-    pub fn detected() -> Self {
-        static DETECTED: OnceLock<InstructionSet> = OnceLock::new();
-        *DETECTED.get_or_init(|| {
-            let best = Self::best();
-            match std::env::var("OCTOARM_INSTRUCTION_SET").as_deref() {
-                Ok("baseline") => Self::Baseline,
-                Ok("avx2") if best != Self::Baseline => Self::Avx2,
-                _ => best,
-            }
-        })
-    }
-
-    /// The best set of this processor.
-    #[must_use]
-    #[cfg(target_arch = "x86_64")]
-    pub fn best() -> Self {
-        let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-        let avx512 = is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512bw");
-        match (avx2, avx512) {
-            (true, true) => Self::Avx512,
-            (true, false) => Self::Avx2,
-            _ => Self::Baseline,
-        }
-    }
-
-    /// The best set of this processor.
-    #[must_use]
-    #[cfg(not(target_arch = "x86_64"))]
-    pub fn best() -> Self {
-        Self::Baseline
-    }
-}
-
 /// `out = factor x + y`.
 #[inline(always)]
 fn axpy(factor: &Row, x: &Block, y: &Block, out: &mut Block) {
@@ -127,7 +73,7 @@ fn merge<const L: usize>(lanes: &[bool; L], from: &Row, to: &mut Row) {
     }
 }
 
-impl<const L: usize> Engine<L> {
+impl<const L: usize> Integrator<L> {
     /// Arms at rest with every spring at its rest length.
     ///
     /// # Panics
@@ -154,7 +100,7 @@ impl<const L: usize> Engine<L> {
         let row = |value| lane_row::<L>(arms, value);
         let mut base = Block::ZERO;
         base.0[3..].fill(row(|arm| arm.base_radius));
-        let mut engine = Self {
+        let mut integrator = Self {
             body: Body {
                 compartments: n,
                 base: Box::new(base),
@@ -182,11 +128,11 @@ impl<const L: usize> Engine<L> {
             trigonometry_known: false,
             coordinates: at_rest,
         };
-        engine.refresh(InstructionSet::detected(), &());
-        engine
+        refresh(Supported::detected(), &mut integrator, ());
+        integrator
     }
 
-    /// What [`Engine::new`] asks for on the heap \[bytes\], and a quarter more for the allocator.
+    /// What [`Integrator::new`] asks for on the heap \[bytes\], and a quarter more for the allocator.
     pub(crate) fn bytes(compartments: usize) -> usize {
         let chunks = (compartments * L).div_ceil(WIDTH);
         let state = 3 * 2 * size_of::<Block>() + 2 * size_of::<Lengths>() + size_of::<Muscles>();
@@ -233,8 +179,8 @@ impl<const L: usize> Engine<L> {
         }
     }
 
-    /// What [`Engine::coordinate`], [`Engine::rate`] and [`Engine::length`] would be after the step
-    /// that [`Engine::advance`] has just refused.
+    /// What [`Integrator::coordinate`], [`Integrator::rate`] and [`Integrator::length`] would be after the step
+    /// that [`Integrator::advance`] has just refused.
     pub(crate) fn refused(
         &self,
         lane: usize,
@@ -249,7 +195,7 @@ impl<const L: usize> Engine<L> {
         )
     }
 
-    /// Sets the state of one lane; call [`Engine::refresh`] after the last.
+    /// Sets the state of one lane; call [`Integrator::refresh`] after the last.
     pub(crate) fn set_state(
         &mut self,
         lane: usize,
@@ -268,7 +214,7 @@ impl<const L: usize> Engine<L> {
 
     /// Computes the spring lengths of the present state.
     #[inline(always)]
-    fn refresh_inline(&mut self, (): &()) {
+    fn refresh(&mut self, (): ()) {
         for c in 0..self.coordinates.len() {
             spring_lengths::<L>(
                 &self.body,
@@ -282,51 +228,19 @@ impl<const L: usize> Engine<L> {
         self.trigonometry_known = true;
     }
 
-    /// The bases' motion as their own frames see it. Under [`BaseCoupling::Gravity`] these frames are
-    /// the arms' world: they stand still, and only gravity turns in them.
-    #[inline(always)]
-    fn base_frame(&self, motion: &BaseRows<L>) -> BaseFrame<L> {
-        let mut frame =
-            BaseFrame { omega: [[0.0; L]; 3], psi: [[0.0; L]; 3], gravity: [[0.0; L]; 3] };
-        for lane in 0..L {
-            let (sine_theta, cosine_theta) = sin_cos(motion.angle[0][lane]);
-            let (s, c) = sin_cos(motion.angle[1][lane]);
-            let felt = |value: f64| if self.carries[lane] { value } else { 0.0 };
-            let (theta_rate, phi_rate) = (felt(motion.rate[0][lane]), felt(motion.rate[1][lane]));
-            let theta_acceleration = felt(motion.acceleration[0][lane]);
-            let phi_acceleration = felt(motion.acceleration[1][lane]);
-            // R_0 = R_x(θ) R_y(φ): ω = θ̇ R_yᵀ x + φ̇ y.
-            frame.omega[0][lane] = c * theta_rate;
-            frame.omega[1][lane] = phi_rate;
-            frame.omega[2][lane] = s * theta_rate;
-            frame.psi[0][lane] = c.mul_add(theta_acceleration, -(s * theta_rate * phi_rate));
-            frame.psi[1][lane] = phi_acceleration;
-            frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
-            let (x, y, z) = (self.gravity[0][lane], self.gravity[1][lane], self.gravity[2][lane]);
-            let (y, z) = (
-                cosine_theta.mul_add(y, sine_theta * z),
-                cosine_theta.mul_add(z, -(sine_theta * y)),
-            );
-            frame.gravity[0][lane] = c.mul_add(x, -(s * z));
-            frame.gravity[1][lane] = y;
-            frame.gravity[2][lane] = c.mul_add(z, s * x);
-        }
-        frame
-    }
-
     /// Accelerations of the present state, one block a chunk.
     #[inline(always)]
-    fn evaluate_inline(&mut self, motion: &BaseRows<L>) -> Vec<Block> {
-        let frame = self.base_frame(motion);
+    fn evaluate(&mut self, motion: &BaseRows<L>) -> Vec<Block> {
+        let frame = BaseFrame::new(motion, &self.gravity, &self.carries);
         let Self { body, coordinates, rates, muscles, workspace, .. } = self;
         let chunks = coordinates.len();
-        let mut travel = kinematics::Travel::from_base(&frame);
+        let mut travel = MotionTravel::from_base(&frame);
         for first in (0..chunks).step_by(BLOCK) {
             let block = first..chunks.min(first + BLOCK);
             outward::<L>(body, &mut travel, coordinates, rates, block, false, workspace);
         }
         inward::<L>(body, coordinates, rates, muscles, workspace);
-        let mut travel = articulated::Travel::BASE;
+        let mut travel = InertiaTravel::BASE;
         let mut result = vec![Block::ZERO; chunks];
         for (c, out) in result.iter_mut().enumerate() {
             accelerations::<L>(body, &coordinates[c], c, &mut travel, workspace, out);
@@ -337,12 +251,12 @@ impl<const L: usize> Engine<L> {
     /// One Runge–Kutta step; `motions` is the bases at its start, middle and end. The new state goes
     /// to the `next_` fields; returns which lanes of it lie in the domain.
     #[inline(always)]
-    fn advance_inline(&mut self, motions: &[BaseRows<L>; 3]) -> [bool; L] {
+    fn advance(&mut self, motions: &[BaseRows<L>; 3]) -> [bool; L] {
         // Not a closure in `map`: it would not be compiled for this instruction set.
         let frames = [
-            self.base_frame(&motions[0]),
-            self.base_frame(&motions[1]),
-            self.base_frame(&motions[2]),
+            BaseFrame::new(&motions[0], &self.gravity, &self.carries),
+            BaseFrame::new(&motions[1], &self.gravity, &self.carries),
+            BaseFrame::new(&motions[2], &self.gravity, &self.carries),
         ];
         let Self { body, muscles, coordinates, rates, workspace, shares, .. } = self;
         let (stage_q, stage_u) = (&mut self.stage_coordinates, &mut self.stage_rates);
@@ -361,8 +275,8 @@ impl<const L: usize> Engine<L> {
         // (And one loop for all stages, so that the code fits the instruction cache.)
         for stage in 0..=4_usize {
             let frame = &frames[stage.div_ceil(2).min(2)];
-            let mut before = articulated::Travel::BASE;
-            let mut travel = kinematics::Travel::from_base(frame);
+            let mut before = InertiaTravel::BASE;
+            let mut travel = MotionTravel::from_base(frame);
             for first in (0..chunks).step_by(BLOCK) {
                 let block = first..chunks.min(first + BLOCK);
                 for c in block.clone() {
@@ -455,62 +369,36 @@ impl<const L: usize> Engine<L> {
     }
 }
 
-/// The functions of this module that run in the instruction set of the caller's choice.
-macro_rules! dispatched {
-    ($($(#[$documentation:meta])* $name:ident => $inline:ident($motions:ty) -> $result:ty;)*) => {
-        $(
-            impl<const L: usize> Engine<L> {
-                $(#[$documentation])*
-                #[allow(unsafe_code)]
-                pub(crate) fn $name(
-                    &mut self,
-                    instructions: InstructionSet,
-                    motions: &$motions,
-                ) -> $result {
-                    #[cfg(target_arch = "x86_64")]
-                    #[target_feature(enable = "avx2,fma,avx512f,avx512dq,avx512vl,avx512bw")]
-                    fn avx512<const L: usize>(engine: &mut Engine<L>, motions: &$motions) -> $result {
-                        engine.$inline(motions)
-                    }
-                    #[cfg(target_arch = "x86_64")]
-                    #[target_feature(enable = "avx2,fma")]
-                    fn avx2<const L: usize>(engine: &mut Engine<L>, motions: &$motions) -> $result {
-                        engine.$inline(motions)
-                    }
-                    match instructions {
-                        // SAFETY: `InstructionSet` yields these only where the processor has the
-                        // features that the two functions are compiled for.
-                        #[cfg(target_arch = "x86_64")]
-                        InstructionSet::Avx512 => unsafe { avx512(self, motions) },
-                        // SAFETY: as above.
-                        #[cfg(target_arch = "x86_64")]
-                        InstructionSet::Avx2 => unsafe { avx2(self, motions) },
-                        _ => self.$inline(motions),
-                    }
-                }
-            }
-        )*
-    };
-}
-
-dispatched! {
+compiled_for_each_set! {
     /// One Runge–Kutta step; `motions` is the bases at its start, middle and end. The new state waits
-    /// for [`Engine::accept`]; returns which lanes of it lie in the domain.
-    advance => advance_inline([BaseRows<L>; 3]) -> [bool; L];
-    /// Computes the spring lengths of the present state.
-    refresh => refresh_inline(()) -> ();
-    /// Accelerations of the present state, one block a chunk.
-    evaluate => evaluate_inline(BaseRows<L>) -> Vec<Block>;
+    /// for [`Integrator::accept`]; returns which lanes of it lie in the domain.
+    pub(crate) fn advance[L](integrator: &mut Integrator<L>, motions: &[BaseRows<L>; 3]) -> [bool; L] {
+        integrator.advance(motions)
+    }
 }
 
-impl Engine<1> {
+compiled_for_each_set! {
+    /// Computes the spring lengths of the present state.
+    pub(crate) fn refresh[L](integrator: &mut Integrator<L>, nothing: ()) -> () {
+        integrator.refresh(nothing)
+    }
+}
+
+compiled_for_each_set! {
+    /// Accelerations of the present state, one block a chunk.
+    fn evaluate[L](integrator: &mut Integrator<L>, motion: &BaseRows<L>) -> Vec<Block> {
+        integrator.evaluate(motion)
+    }
+}
+
+impl Integrator<1> {
     /// Accelerations of the present state, in the order of the state's entries.
     pub(crate) fn accelerations(
         &mut self,
-        instructions: InstructionSet,
+        instructions: Supported,
         motion: &BaseMotion,
     ) -> Vec<[f64; COORDINATES]> {
-        let blocks = self.evaluate(instructions, &motion.into());
+        let blocks = evaluate(instructions, self, &motion.into());
         (0..self.body.compartments)
             .map(|j| {
                 let (chunk, slot) = place::<1>(j);
@@ -532,22 +420,22 @@ mod tests {
         // step would look as if it left the domain, and be checked twice.
         let parameters = ArmParameters::default();
         let drive = BaseDrive::new(&[(&parameters, Actuator::Servo)]);
-        let mut engine = Engine::<1>::new(&[&parameters]);
-        let (before, rates) = (engine.coordinates[2], engine.rates[2]);
+        let mut integrator = Integrator::<1>::new(&[&parameters]);
+        let (before, rates) = (integrator.coordinates[2], integrator.rates[2]);
         let mut base = [[0.0]; 4];
         for step in 0..500 {
             let angle = 0.3 * (0.02 * f64::from(step)).sin();
             let motion = drive.motion(&base, &[[angle], [0.5 * angle]]);
             base = motion[2].state();
-            assert!(engine.advance(InstructionSet::detected(), &motion) == [true]);
-            engine.accept();
+            assert!(advance(Supported::detected(), &mut integrator, &motion) == [true]);
+            integrator.accept();
         }
         for k in 4..WIDTH {
             for row in 0..COORDINATES {
-                assert_eq!(engine.coordinates[2].0[row][k], before.0[row][k]);
-                assert_eq!(engine.rates[2].0[row][k], rates.0[row][k]);
+                assert_eq!(integrator.coordinates[2].0[row][k], before.0[row][k]);
+                assert_eq!(integrator.rates[2].0[row][k], rates.0[row][k]);
             }
         }
-        assert_ne!(engine.coordinates[2].0[1][3], before.0[1][3]);
+        assert_ne!(integrator.coordinates[2].0[1][3], before.0[1][3]);
     }
 }

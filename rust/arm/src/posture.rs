@@ -1,9 +1,9 @@
-//! Energy and posture, in the world frame.
+//! What a state looks like: positions, volumes and energy, in the world frame.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::parameters::{ArmParameters, BaseCoupling};
+use crate::parameters::{ArmParameters, BaseCoupling, frustum_volume};
 use crate::state::ArmState;
 use crate::transcendental::sin_cos;
 
@@ -71,31 +71,49 @@ fn poses(coupling: BaseCoupling, state: &ArmState) -> Vec<PlanePose> {
     poses
 }
 
-/// Centres of all planes, base first \[m\].
-#[must_use]
-pub(crate) fn plane_centres(state: &ArmState) -> Vec<[f64; 3]> {
-    poses(BaseCoupling::Gravity, state).iter().map(|pose| pose.centre.into()).collect()
-}
-
 /// Directions u_1 to u_4 of the struts in a plane's own frame (Fig. 1).
 fn strut_directions() -> [Vector3<f64>; 4] {
     [Vector3::x(), Vector3::y(), -Vector3::x(), -Vector3::y()]
 }
 
-/// Ends P_ij of the longitudinal springs on all planes, base first \[m\].
-#[must_use]
-pub(crate) fn joints(parameters: &ArmParameters, state: &ArmState) -> Vec<[[f64; 3]; 4]> {
-    let base = [parameters.base_radius; 4];
-    let radii =
-        std::iter::once(base).chain(state.coordinates.iter().map(|q| [q[3], q[4], q[5], q[6]]));
-    let directions = strut_directions();
-    poses(parameters.base_coupling, state)
-        .iter()
-        .zip(radii)
-        .map(|(pose, radii)| {
-            [0, 1, 2, 3].map(|i| (pose.centre + pose.frame * directions[i] * radii[i]).into())
-        })
-        .collect()
+impl ArmState {
+    /// Centres of all planes, base first \[m\].
+    #[must_use]
+    pub fn positions(&self) -> Vec<[f64; 3]> {
+        poses(BaseCoupling::Gravity, self).iter().map(|pose| pose.centre.into()).collect()
+    }
+
+    /// Ends P_ij of the longitudinal springs on all planes, base first, springs 1 to 4 of each \[m\];
+    /// spring i of compartment j runs from `joints[j - 1][i - 1]` to `joints[j][i - 1]`.
+    #[must_use]
+    pub fn joints(&self, parameters: &ArmParameters) -> Vec<[[f64; 3]; 4]> {
+        let base = [parameters.base_radius; 4];
+        let radii =
+            std::iter::once(base).chain(self.coordinates.iter().map(|q| [q[3], q[4], q[5], q[6]]));
+        let directions = strut_directions();
+        poses(parameters.base_coupling, self)
+            .iter()
+            .zip(radii)
+            .map(|(pose, radii)| {
+                [0, 1, 2, 3].map(|i| (pose.centre + pose.frame * directions[i] * radii[i]).into())
+            })
+            .collect()
+    }
+
+    /// Volume of every compartment \[m³\], from the mean radii of its floor and ceiling.
+    #[must_use]
+    pub fn volumes(&self, parameters: &ArmParameters) -> Vec<f64> {
+        let mut floor = parameters.base_radius;
+        self.coordinates
+            .iter()
+            .map(|q| {
+                let ceiling = (q[3] + q[4] + q[5] + q[6]) / 4.0;
+                let volume = frustum_volume(floor, ceiling, q[0]);
+                floor = ceiling;
+                volume
+            })
+            .collect()
+    }
 }
 
 /// Kinetic and elastic energy; `lengths` are the longitudinal springs', in observation order.

@@ -1,0 +1,105 @@
+//! What an evaluation reads and does not change: the body's parameters, in rows.
+
+use super::rows::{Block, Row};
+use crate::parameters::{ArmParameters, ReferenceArea, VolumeForce};
+
+/// Parameters that are the same for every compartment of an arm, one row each.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Material {
+    pub(crate) rest_length: Row,
+    pub(crate) longitudinal_stiffness: Row,
+    pub(crate) longitudinal_damping: Row,
+    pub(crate) transverse_stiffness: Row,
+    pub(crate) transverse_damping: Row,
+    pub(crate) longitudinal_volume_gain: Row,
+    pub(crate) transverse_volume_gain: Row,
+    /// 1 for [`VolumeForce::Total`], else 0.
+    pub(crate) total: Row,
+    /// 1 − `total`.
+    pub(crate) applied: Row,
+    pub(crate) joint_mass: Row,
+    pub(crate) inverse_joint_mass: Row,
+    pub(crate) plane_mass: Row,
+    pub(crate) plane_inertia: Row,
+    /// `ρ_o − ρ_w`, Eq. 10.
+    pub(crate) net_density: Row,
+    /// `½ ρ_w A_r / ((R_b + R_t) h)`.
+    pub(crate) pressure_area: Row,
+    pub(crate) lift_scale: Row,
+    pub(crate) drag_coefficients: [Row; 5],
+    pub(crate) lift_coefficients: [Row; 5],
+}
+
+impl Material {
+    /// The rows of `L` arms: slot `k` belongs to arm `k % L`.
+    pub(crate) fn new<const L: usize>(arms: &[&ArmParameters; L]) -> Self {
+        let row = |value: fn(&ArmParameters) -> f64| lane_row::<L>(arms, value);
+        let coefficients = |values: fn(&ArmParameters) -> &[f64; 5]| {
+            std::array::from_fn(|term| std::array::from_fn(|slot| values(arms[slot % L])[term]))
+        };
+        Self {
+            rest_length: row(|arm| arm.rest_length),
+            longitudinal_stiffness: row(|arm| arm.longitudinal_stiffness),
+            longitudinal_damping: row(|arm| arm.longitudinal_damping),
+            transverse_stiffness: row(|arm| arm.transverse_stiffness),
+            transverse_damping: row(|arm| arm.transverse_damping),
+            longitudinal_volume_gain: row(|arm| arm.longitudinal_volume_gain),
+            transverse_volume_gain: row(|arm| arm.transverse_volume_gain),
+            total: row(total_share),
+            applied: row(|arm| 1.0 - total_share(arm)),
+            joint_mass: row(ArmParameters::joint_mass),
+            inverse_joint_mass: row(|arm| 1.0 / arm.joint_mass()),
+            plane_mass: row(|arm| arm.plane_mass),
+            plane_inertia: row(|arm| arm.plane_inertia),
+            net_density: row(|arm| arm.arm_density - arm.water_density),
+            pressure_area: row(|arm| {
+                let shape = match arm.reference_area {
+                    ReferenceArea::Wetted => std::f64::consts::PI,
+                    ReferenceArea::Planform => 1.0,
+                };
+                0.5 * arm.water_density * arm.area_scale * shape
+            }),
+            lift_scale: row(|arm| arm.lift_scale),
+            drag_coefficients: coefficients(|arm| &arm.drag_coefficients),
+            lift_coefficients: coefficients(|arm| &arm.lift_coefficients),
+        }
+    }
+}
+
+/// A parameter of `L` arms as a row: slot `k` belongs to arm `k % L`.
+pub(crate) fn lane_row<const L: usize>(
+    arms: &[&ArmParameters; L],
+    value: fn(&ArmParameters) -> f64,
+) -> Row {
+    std::array::from_fn(|slot| value(arms[slot % L]))
+}
+
+fn total_share(parameters: &ArmParameters) -> f64 {
+    match parameters.volume_force {
+        VolumeForce::Applied => 0.0,
+        VolumeForce::Total => 1.0,
+    }
+}
+
+/// What differs from compartment to compartment and does not move.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Rest {
+    /// Rest radius of the ceiling plane.
+    pub(crate) radius: Row,
+    /// Rest volume.
+    pub(crate) volume: Row,
+}
+
+/// What an evaluation reads and does not change.
+#[derive(Clone, Debug)]
+pub(crate) struct Body<const L: usize> {
+    pub(crate) compartments: usize,
+    /// A chunk that ends with the base planes, as if they were compartments of their own.
+    pub(crate) base: Box<Block>,
+    /// On the heap, like all that asks for 64-byte alignment: an [`crate::Arm`] may be embedded in
+    /// memory that a foreign allocator aligned for ordinary numbers only.
+    pub(crate) material: Box<Material>,
+    pub(crate) rest: Vec<Rest>,
+}
