@@ -3,42 +3,8 @@
 use octoarm_arm::{Actuator, ArmParameters, ParameterError, read_json};
 use serde::{Deserialize, Serialize};
 
-use crate::orbit::Orbit;
+use crate::orbit::{Orbit, Target, TargetName};
 use crate::reward::Reward;
-
-/// The limit cycles of the paper, section 2.2.2.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TargetName {
-    /// Eq. 28.
-    Quadratic,
-    /// Eq. 27.
-    VanDerPol,
-    /// Eq. 29 with f1 = 2, f2 = 1.
-    Lissajous,
-}
-
-impl TargetName {
-    /// The paper's R, Figures 6 to 8 \[degrees\].
-    #[must_use]
-    pub fn amplitude(self) -> f64 {
-        match self {
-            Self::Quadratic => 90.0,
-            Self::VanDerPol => 130.0,
-            Self::Lissajous => 10.0,
-        }
-    }
-}
-
-/// What the base shall follow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Target {
-    /// One of the paper's limit cycles.
-    Named(TargetName),
-    /// One period of (θ, φ) in degrees, one row a physics step.
-    Samples(Vec<[f64; 2]>),
-}
 
 /// Everything that `gym.make("OctoArm-v0", …)` takes, beside rendering and length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use octoarm_arm::{Arm, ParameterError, domain};
 
 use crate::config::EpisodeConfig;
-use crate::course::{Course, EpisodeState, Outcome, check_step};
-use crate::swing::{Swing, control_step};
+use crate::control::control_step;
+use crate::swing::Swing;
+use crate::task::{EpisodeState, Outcome, Task, check_step};
 
 /// An arm that follows a target.
 #[derive(Clone, Debug)]
 pub struct Episode {
-    course: Course,
+    task: Task,
     arm: Arm,
 }
 
@@ -21,20 +22,20 @@ impl Episode {
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range.
     pub fn new(config: EpisodeConfig) -> Result<Self, ParameterError> {
-        let course = Course::new(Arc::new(config))?;
-        Ok(Self { arm: course.swing().arm.clone(), course })
+        let task = Task::new(Arc::new(config))?;
+        Ok(Self { arm: task.swing().arm.clone(), task })
     }
 
     /// The settings.
     #[must_use]
     pub fn config(&self) -> &EpisodeConfig {
-        self.course.config()
+        self.task.config()
     }
 
     /// The swing whose snapshots episodes begin from.
     #[must_use]
     pub fn swing(&self) -> &Swing {
-        self.course.swing()
+        self.task.swing()
     }
 
     /// The arm.
@@ -46,7 +47,7 @@ impl Episode {
     /// Base angle of an action of 1 \[degrees\].
     #[must_use]
     pub fn action_range(&self) -> f64 {
-        self.course.action_range()
+        self.task.action_range()
     }
 
     /// Bounds of the observed spring lengths \[m\]: the domain's own.
@@ -58,12 +59,12 @@ impl Episode {
 
     /// Starts the generator of resets anew.
     pub fn seed(&mut self, seed: u64) {
-        self.course.seed(seed);
+        self.task.seed(seed);
     }
 
     /// Begins an episode at a random phase of the swing.
     pub fn reset(&mut self) -> Outcome {
-        let index = self.course.draw();
+        let index = self.task.draw();
         self.reset_to(index)
     }
 
@@ -72,40 +73,40 @@ impl Episode {
     /// # Errors
     /// [`ParameterError::OutOfRange`] for a phase outside [0, 1].
     pub fn reset_to_phase(&mut self, phase: f64) -> Result<Outcome, ParameterError> {
-        let index = self.course.nearest(phase)?;
+        let index = self.task.nearest(phase)?;
         Ok(self.reset_to(index))
     }
 
     fn reset_to(&mut self, index: usize) -> Outcome {
         // A snapshot was a valid state of this very body.
-        let restored = self.arm.set_state(self.course.start(index));
+        let restored = self.arm.set_state(self.task.start(index));
         debug_assert!(restored.is_ok(), "{restored:?}");
-        self.course.begin(index);
-        self.course.first_outcome(self.arm.base_degrees())
+        self.task.begin(index);
+        self.task.first_outcome(self.arm.base_degrees())
     }
 
     /// The last action; after a reset, the one that the swing was under.
     #[must_use]
     pub fn action(&self) -> [f64; 2] {
-        self.course.action()
+        self.task.action()
     }
 
     /// Where the episode stands, as if it began there.
     #[must_use]
     pub fn outcome(&self) -> Outcome {
-        self.course.first_outcome(self.arm.base_degrees())
+        self.task.first_outcome(self.arm.base_degrees())
     }
 
     /// Whether the episode goes on: it was reset, and the arm has not left its domain.
     #[must_use]
     pub fn running(&self) -> bool {
-        self.course.running()
+        self.task.running()
     }
 
     /// The teacher's action now: what the clock commands, as a fraction of the action range.
     #[must_use]
     pub fn teacher_action(&self) -> [f64; 2] {
-        self.course.teacher_action()
+        self.task.teacher_action()
     }
 
     /// One control period under an action, each entry in [−1, 1].
@@ -117,17 +118,17 @@ impl Episode {
     /// [`ParameterError::OutOfRange`] for an action outside its bounds or a step without a reset;
     /// nothing is changed then.
     pub fn step(&mut self, action: [f64; 2]) -> Result<Outcome, ParameterError> {
-        let action = check_step(action, self.course.running())?;
-        let command = self.course.command(action);
-        let steps = self.course.physics_steps();
+        let action = check_step(action, self.task.running())?;
+        let command = self.task.command(action);
+        let steps = self.task.physics_steps();
         let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;
-        Ok(self.course.finish(action, self.arm.base_degrees(), failure))
+        Ok(self.task.finish(action, self.arm.base_degrees(), failure))
     }
 
     /// Saves everything the episode needs to go on.
     #[must_use]
     pub fn state(&self) -> EpisodeState {
-        self.course.state(self.arm.state())
+        self.task.state(self.arm.state())
     }
 
     /// Goes on exactly where an episode of the same settings was saved.
@@ -137,7 +138,7 @@ impl Episode {
     pub fn set_state(&mut self, state: &EpisodeState) -> Result<(), ParameterError> {
         state.check()?;
         self.arm.set_state(&state.arm)?;
-        self.course.set_state(state);
+        self.task.set_state(state);
         Ok(())
     }
 }

@@ -5,20 +5,23 @@
 //! [`Episode`] is the way in, [`EpisodeBatch`] that of many, [`ArmBatch`] many arms without episodes.
 
 mod arm_batch;
-mod batch;
 mod config;
-mod course;
+mod control;
 mod episode;
+mod episode_batch;
 mod orbit;
 mod reward;
 mod swing;
+mod task;
+mod teacher;
 mod workers;
 
 pub use arm_batch::{ArmBatch, Stop};
-pub use batch::{Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last};
-pub use config::{EpisodeConfig, Target, TargetName};
-pub use course::{EpisodeState, Outcome, check_step};
+pub use config::EpisodeConfig;
 pub use episode::Episode;
-pub use orbit::Orbit;
+pub use episode_batch::{Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last};
+pub use orbit::{Orbit, Target, TargetName};
 pub use reward::{Reward, RewardTerms};
-pub use swing::{Swing, TeacherClock};
+pub use swing::{Snapshot, Swing};
+pub use task::{EpisodeState, Outcome, check_step};
+pub use teacher::TeacherClock;

@@ -2,8 +2,7 @@
 
 use octoarm_arm::transcendental::sin_cos;
 use octoarm_arm::{ParameterError, memory, poll};
-
-use crate::config::TargetName;
+use serde::{Deserialize, Serialize};
 
 /// Time of the oscillators per second of the arm: 0.01 a step of 1 ms (section 2.2.2).
 const OSCILLATOR_RATE: f64 = 10.0;
@@ -22,6 +21,40 @@ const TRANSIENT: f64 = 100.0;
 /// Fewest samples of a user's orbit: cubic interpolation takes four.
 const FEWEST_SAMPLES: usize = 4;
 const MOST_SAMPLES: usize = 1_000_000;
+
+/// The limit cycles of the paper, section 2.2.2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TargetName {
+    /// Eq. 28.
+    Quadratic,
+    /// Eq. 27.
+    VanDerPol,
+    /// Eq. 29 with f1 = 2, f2 = 1.
+    Lissajous,
+}
+
+impl TargetName {
+    /// The paper's R, Figures 6 to 8 \[degrees\].
+    #[must_use]
+    pub fn amplitude(self) -> f64 {
+        match self {
+            Self::Quadratic => 90.0,
+            Self::VanDerPol => 130.0,
+            Self::Lissajous => 10.0,
+        }
+    }
+}
+
+/// What the base shall follow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Target {
+    /// One of the paper's limit cycles.
+    Named(TargetName),
+    /// One period of (θ, φ) in degrees, one row a physics step.
+    Samples(Vec<[f64; 2]>),
+}
 
 /// A closed orbit as a function of phase, by cubic interpolation in a table over one period.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! The teacher's clock, and the swing it keeps the arm in: where episodes begin.
+//! The swing that the teacher keeps an arm in: where episodes begin.
 //!
 //! A readout has no clock of its own: it keeps whatever phase its body starts with. So an episode must
 //! begin with the body already swinging in phase with the target. A swing is a run of the arm forced
@@ -6,11 +6,12 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use octoarm_arm::{Actuator, Arm, ArmState, DomainError, ParameterError, Servo, poll};
+use octoarm_arm::{Arm, ArmState, DomainError, ParameterError, poll};
 
-use crate::config::{EpisodeConfig, Target};
-use crate::course::command_at;
-use crate::orbit::Orbit;
+use crate::config::EpisodeConfig;
+use crate::control::control_step;
+use crate::orbit::{Orbit, Target};
+use crate::teacher::TeacherClock;
 
 /// Time in which the command grows from rest to the full orbit \[s\].
 const RAMP: f64 = 1.0;
@@ -20,59 +21,6 @@ const SETTLE: f64 = 12.0;
 const SNAPSHOTS: usize = 256;
 /// Swings kept for environments that will be made later.
 const KEPT: usize = 8;
-
-/// The command that puts the base exactly on the target at every control instant, as a function of
-/// time alone.
-///
-/// A servo lags its command. The clock therefore follows a servo of its own, undisturbed, and commands
-/// what brings that one onto the target at the end of the control period. A base driven `direct` needs
-/// no lead: the command is the target itself.
-#[derive(Clone, Debug)]
-pub struct TeacherClock {
-    orbit: Arc<Orbit>,
-    period: f64,
-    servo: Option<Servo>,
-}
-
-impl TeacherClock {
-    /// The clock of an episode that follows `orbit`.
-    #[must_use]
-    pub fn new(config: &EpisodeConfig, orbit: Arc<Orbit>) -> Self {
-        let servo = match config.actuator {
-            Actuator::Direct => None,
-            Actuator::Servo => Some(Servo::new(config.arm.servo_frequency, config.control_period)),
-        };
-        Self { orbit, period: config.control_period, servo }
-    }
-
-    /// The target at control instant `tick` \[degrees\].
-    #[must_use]
-    pub fn target(&self, tick: i64) -> [f64; 2] {
-        self.orbit.at(tick as f64 * self.period)
-    }
-
-    /// The command \[degrees\] from instant `tick` to the next for an undisturbed base
-    /// `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\], and that base at the end.
-    #[must_use]
-    pub fn command(&self, tick: i64, base: [f64; 4]) -> ([f64; 2], [f64; 4]) {
-        self.command_towards(self.target(tick + 1), base)
-    }
-
-    fn command_towards(&self, goal: [f64; 2], base: [f64; 4]) -> ([f64; 2], [f64; 4]) {
-        let mut command = goal;
-        let mut end = [goal[0], goal[1], 0.0, 0.0];
-        for axis in 0..2 {
-            let (angle, rate) = (base[axis], base[axis + 2]);
-            if let Some(servo) = &self.servo {
-                command[axis] = servo.command_for(angle, rate, goal[axis]);
-                (end[axis], end[axis + 2]) = servo.advance(angle, rate, command[axis]);
-            } else {
-                end[axis + 2] = (goal[axis] - angle) / self.period;
-            }
-        }
-        (command, end)
-    }
-}
 
 /// Where an episode may begin.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,28 +50,6 @@ pub struct Swing {
 fn ramp(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
-}
-
-/// Moves the arm through one control period under a command in degrees ([`command_at`]).
-///
-/// Gives the reason if the arm would leave its domain; it then is in its last valid state.
-///
-/// # Errors
-/// Those of `before_each` physics step, with the arm on its way.
-pub(crate) fn control_step(
-    arm: &mut Arm,
-    command: [f64; 2],
-    physics_steps: u32,
-    before_each: impl Fn() -> Result<(), ParameterError>,
-) -> Result<Option<DomainError>, ParameterError> {
-    let (actuator, start) = (arm.actuator(), arm.base_degrees());
-    for step in 1..=physics_steps {
-        before_each()?;
-        if let Err(failure) = arm.step(command_at(actuator, start, command, step, physics_steps)) {
-            return Ok(Some(failure));
-        }
-    }
-    Ok(None)
 }
 
 /// The refusal of a target that takes the arm out of its domain.

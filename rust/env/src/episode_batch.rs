@@ -9,8 +9,9 @@ use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, ParameterError, domain, 
 use serde::{Deserialize, Serialize};
 
 use crate::config::EpisodeConfig;
-use crate::course::{Course, EpisodeState, Outcome, check_action, command_at, not_running};
+use crate::control::command_at;
 use crate::swing::Swing;
+use crate::task::{EpisodeState, Outcome, Task, check_action, not_running};
 use crate::workers::Workers;
 
 const WIDTH: usize = ArmLanes::WIDTH;
@@ -90,7 +91,7 @@ pub struct BatchState {
 #[derive(Debug)]
 struct Group {
     lanes: ArmLanes,
-    courses: Vec<Course>,
+    tasks: Vec<Task>,
     seats: Vec<Seat>,
 }
 
@@ -117,10 +118,10 @@ pub struct EpisodeBatch {
 }
 
 impl Group {
-    fn new(courses: Vec<Course>) -> Result<Self, ParameterError> {
-        let arms: Vec<&Arm> = courses.iter().map(|course| &course.swing().arm).collect();
+    fn new(tasks: Vec<Task>) -> Result<Self, ParameterError> {
+        let arms: Vec<&Arm> = tasks.iter().map(|task| &task.swing().arm).collect();
         let lanes = ArmLanes::new(&arms)?;
-        Ok(Self { lanes, seats: vec![Seat::EMPTY; courses.len()], courses })
+        Ok(Self { lanes, seats: vec![Seat::EMPTY; tasks.len()], tasks })
     }
 
     /// Begins episodes at snapshots, given as (lane, snapshot).
@@ -130,11 +131,11 @@ impl Group {
         }
         let states: Vec<(usize, &ArmState)> = starts
             .iter()
-            .map(|(lane, snapshot)| (*lane, self.courses[*lane].start(*snapshot)))
+            .map(|(lane, snapshot)| (*lane, self.tasks[*lane].start(*snapshot)))
             .collect();
         self.lanes.restore(&states);
         for (lane, snapshot) in starts {
-            self.courses[*lane].begin(*snapshot);
+            self.tasks[*lane].begin(*snapshot);
             self.seats[*lane] = Seat::BEGUN;
         }
     }
@@ -149,23 +150,23 @@ impl Group {
         let mut starts = [[0.0; 2]; WIDTH];
         let mut goals = [[0.0; 2]; WIDTH];
         let mut steps = [0; WIDTH];
-        for (lane, course) in self.courses.iter().enumerate() {
+        for (lane, task) in self.tasks.iter().enumerate() {
             if active[lane] {
                 starts[lane] = self.lanes.base_degrees(lane);
-                goals[lane] = course.command(actions[lane]);
-                steps[lane] = course.physics_steps();
+                goals[lane] = task.command(actions[lane]);
+                steps[lane] = task.physics_steps();
             }
         }
         let mut commands = [[0.0; 2]; WIDTH];
         for step in 1..=steps.into_iter().max().unwrap_or(0) {
             let mut moves = [false; WIDTH];
-            for lane in 0..self.courses.len() {
+            for lane in 0..self.tasks.len() {
                 moves[lane] = step <= steps[lane] && failures[lane].is_none();
                 let actuator = self.lanes.actuator(lane);
                 commands[lane] = command_at(actuator, starts[lane], goals[lane], step, steps[lane]);
             }
             if !self.lanes.step(&commands, &moves) {
-                for lane in 0..self.courses.len() {
+                for lane in 0..self.tasks.len() {
                     // A lane that has failed before does not move any more.
                     if moves[lane] {
                         failures[lane] = self.lanes.failure(lane);
@@ -182,13 +183,13 @@ impl Errand<'_> {
     fn run(self, autoreset: Autoreset, max_episode_steps: Option<u64>, width: usize) {
         let Self { group, actions, observations, rewards, terminated, truncated, outcomes, lasts } =
             self;
-        let count = group.courses.len();
+        let count = group.tasks.len();
         let mut active = [false; WIDTH];
         let mut starts = Vec::new();
         for lane in 0..count {
             active[lane] = !group.seats[lane].ended;
             if !active[lane] {
-                starts.push((lane, group.courses[lane].draw()));
+                starts.push((lane, group.tasks[lane].draw()));
             }
         }
         group.begin(&starts);
@@ -197,12 +198,12 @@ impl Errand<'_> {
         let mut starts = Vec::new();
         for lane in 0..count {
             let base = group.lanes.base_degrees(lane);
-            let course = &mut group.courses[lane];
+            let task = &mut group.tasks[lane];
             if !active[lane] {
-                outcomes[lane] = Some(course.first_outcome(base));
+                outcomes[lane] = Some(task.first_outcome(base));
                 continue;
             }
-            let outcome = course.finish(actions[lane], base, failures[lane]);
+            let outcome = task.finish(actions[lane], base, failures[lane]);
             let seat = &mut group.seats[lane];
             seat.elapsed = seat.elapsed.saturating_add(1);
             rewards[lane] = outcome.terms.total();
@@ -214,13 +215,13 @@ impl Errand<'_> {
                 let mut observation = vec![0.0; width];
                 group.lanes.lengths_into(lane, &mut observation);
                 lasts[lane] = Some(Last { observation, outcome });
-                starts.push((lane, course.draw()));
+                starts.push((lane, task.draw()));
             }
         }
         group.begin(&starts);
         for (lane, _) in starts {
             let base = group.lanes.base_degrees(lane);
-            outcomes[lane] = Some(group.courses[lane].first_outcome(base));
+            outcomes[lane] = Some(group.tasks[lane].first_outcome(base));
         }
         for (lane, row) in observations.chunks_exact_mut(width).enumerate() {
             group.lanes.lengths_into(lane, row);
@@ -254,21 +255,21 @@ impl EpisodeBatch {
                 range: "of one number for all environments".to_owned(),
             });
         }
-        let mut courses = Self::room(configs.len(), compartments.unwrap_or(0))?;
-        let mut known: Vec<Course> = Vec::new();
+        let mut tasks = Self::room(configs.len(), compartments.unwrap_or(0))?;
+        let mut known: Vec<Task> = Vec::new();
         for config in configs {
             // Environments are mostly alike, and mostly like the one before.
-            let same = |course: &&Course| Arc::ptr_eq(course.config(), config);
-            let course = match known.iter().rev().find(same) {
-                Some(course) => course.clone(),
+            let same = |task: &&Task| Arc::ptr_eq(task.config(), config);
+            let task = match known.iter().rev().find(same) {
+                Some(task) => task.clone(),
                 None => {
-                    known.push(Course::new(Arc::clone(config))?);
+                    known.push(Task::new(Arc::clone(config))?);
                     known[known.len() - 1].clone()
                 }
             };
-            courses.push(course);
+            tasks.push(task);
         }
-        Self::of(courses, max_episode_steps, autoreset, threads)
+        Self::of(tasks, max_episode_steps, autoreset, threads)
     }
 
     /// [`EpisodeBatch::new`] with one configuration for `count` episodes, which share it.
@@ -282,13 +283,13 @@ impl EpisodeBatch {
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
-        let mut courses = Self::room(count, config.arm.compartments)?;
-        courses.resize(count, Course::new(Arc::new(config))?);
-        Self::of(courses, max_episode_steps, autoreset, threads)
+        let mut tasks = Self::room(count, config.arm.compartments)?;
+        tasks.resize(count, Task::new(Arc::new(config))?);
+        Self::of(tasks, max_episode_steps, autoreset, threads)
     }
 
-    /// Room for the courses of `count` episodes, if there is enough for their arms too.
-    fn room(count: usize, compartments: usize) -> Result<Vec<Course>, ParameterError> {
+    /// Room for the tasks of `count` episodes, if there is enough for their arms too.
+    fn room(count: usize, compartments: usize) -> Result<Vec<Task>, ParameterError> {
         let what = format!("num_envs = {count}");
         let groups = count.div_ceil(WIDTH);
         memory::check_room::<u8>(&what, groups.checked_mul(ArmLanes::bytes(compartments)))?;
@@ -296,7 +297,7 @@ impl EpisodeBatch {
     }
 
     fn of(
-        courses: Vec<Course>,
+        tasks: Vec<Task>,
         max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
@@ -312,15 +313,15 @@ impl EpisodeBatch {
         if max_episode_steps == Some(0) {
             return refuse("max_episode_steps");
         }
-        let count = courses.len();
+        let count = tasks.len();
         if count == 0 {
             return refuse("num_envs");
         }
         let mut groups = Vec::with_capacity(count.div_ceil(WIDTH));
-        let mut courses = courses.into_iter();
+        let mut tasks = tasks.into_iter();
         while groups.len() * WIDTH < count {
             poll()?;
-            groups.push(Group::new(courses.by_ref().take(WIDTH).collect())?);
+            groups.push(Group::new(tasks.by_ref().take(WIDTH).collect())?);
         }
         Ok(Self { groups, count, max_episode_steps, autoreset, workers })
     }
@@ -344,16 +345,16 @@ impl EpisodeBatch {
         self.groups[0].lanes.observation_len()
     }
 
-    fn courses(&self) -> impl Iterator<Item = &Course> {
-        self.groups.iter().flat_map(|group| &group.courses)
+    fn tasks(&self) -> impl Iterator<Item = &Task> {
+        self.groups.iter().flat_map(|group| &group.tasks)
     }
 
     /// Bounds of the observed spring lengths \[m\] of every episode: the domain's own.
     #[must_use]
     pub fn observation_bounds(&self) -> Vec<(f64, f64)> {
         let (low, high) = domain::SPRING_LENGTH;
-        self.courses()
-            .map(|course| course.config().arm.rest_length)
+        self.tasks()
+            .map(|task| task.config().arm.rest_length)
             .map(|length| (low * length, high * length))
             .collect()
     }
@@ -361,31 +362,31 @@ impl EpisodeBatch {
     /// Base angles of an action of 1 \[degrees\].
     #[must_use]
     pub fn action_ranges(&self) -> Vec<f64> {
-        self.courses().map(Course::action_range).collect()
+        self.tasks().map(Task::action_range).collect()
     }
 
     /// The settings of an episode.
     #[must_use]
     pub fn config(&self, index: usize) -> &EpisodeConfig {
-        self.groups[index / WIDTH].courses[index % WIDTH].config()
+        self.groups[index / WIDTH].tasks[index % WIDTH].config()
     }
 
     /// The swing whose snapshots an episode begins from.
     #[must_use]
     pub fn swing(&self, index: usize) -> &Swing {
-        self.groups[index / WIDTH].courses[index % WIDTH].swing()
+        self.groups[index / WIDTH].tasks[index % WIDTH].swing()
     }
 
     /// The last actions; after a reset, those that the swings were under.
     #[must_use]
     pub fn actions(&self) -> Vec<[f64; 2]> {
-        self.courses().map(Course::action).collect()
+        self.tasks().map(Task::action).collect()
     }
 
     /// The teachers' actions now.
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
-        self.courses().map(Course::teacher_action).collect()
+        self.tasks().map(Task::teacher_action).collect()
     }
 
     /// Whether each episode has ended and waits for a reset.
@@ -407,10 +408,10 @@ impl EpisodeBatch {
             .iter()
             .flat_map(|group| {
                 group
-                    .courses
+                    .tasks
                     .iter()
                     .enumerate()
-                    .map(|(lane, course)| course.first_outcome(group.lanes.base_degrees(lane)))
+                    .map(|(lane, task)| task.first_outcome(group.lanes.base_degrees(lane)))
             })
             .collect()
     }
@@ -449,7 +450,7 @@ impl EpisodeBatch {
             self.check_len("reset_mask", mask.len())?;
         }
         if let Some(phase) = phase {
-            self.groups[0].courses[0].nearest(phase)?;
+            self.groups[0].tasks[0].nearest(phase)?;
         }
         let width = self.observation_len();
         let mut observations = self.observations()?;
@@ -457,24 +458,24 @@ impl EpisodeBatch {
         for (index, group) in self.groups.iter_mut().enumerate() {
             let first = index * WIDTH;
             let mut starts = Vec::new();
-            for (lane, course) in group.courses.iter_mut().enumerate() {
+            for (lane, task) in group.tasks.iter_mut().enumerate() {
                 if mask.is_some_and(|mask| !mask[first + lane]) {
                     continue;
                 }
                 if let Some(seed) = seeds[first + lane] {
-                    course.seed(seed);
+                    task.seed(seed);
                 }
                 starts.push(match phase {
-                    None => (lane, course.draw()),
-                    Some(phase) => (lane, course.nearest(phase)?),
+                    None => (lane, task.draw()),
+                    Some(phase) => (lane, task.nearest(phase)?),
                 });
             }
             group.begin(&starts);
             for (lane, _) in starts {
                 let base = group.lanes.base_degrees(lane);
-                outcomes[first + lane] = Some(group.courses[lane].first_outcome(base));
+                outcomes[first + lane] = Some(group.tasks[lane].first_outcome(base));
             }
-            for lane in 0..group.courses.len() {
+            for lane in 0..group.tasks.len() {
                 let begin = (first + lane) * width;
                 group.lanes.lengths_into(lane, &mut observations[begin..begin + width]);
             }
@@ -557,8 +558,8 @@ impl EpisodeBatch {
     pub fn state(&self) -> BatchState {
         let mut state = BatchState { episodes: Vec::new(), seats: Vec::new() };
         for group in &self.groups {
-            for (lane, course) in group.courses.iter().enumerate() {
-                state.episodes.push(course.state(group.lanes.state(lane)));
+            for (lane, task) in group.tasks.iter().enumerate() {
+                state.episodes.push(task.state(group.lanes.state(lane)));
             }
             state.seats.extend(&group.seats);
         }
@@ -585,7 +586,7 @@ impl EpisodeBatch {
         }
         for (index, (episode, seat)) in state.episodes.iter().zip(&state.seats).enumerate() {
             let group = &mut self.groups[index / WIDTH];
-            group.courses[index % WIDTH].set_state(episode);
+            group.tasks[index % WIDTH].set_state(episode);
             group.seats[index % WIDTH] = *seat;
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use octoarm_arm::{Actuator, ArmState, DomainError, ParameterError};
+use octoarm_arm::{ArmState, DomainError, ParameterError};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
@@ -75,9 +75,9 @@ impl EpisodeState {
     }
 }
 
-/// An episode without its arm.
+/// An episode apart from the arm that it moves.
 #[derive(Clone, Debug)]
-pub(crate) struct Course {
+pub(crate) struct Task {
     config: Arc<EpisodeConfig>,
     swing: Arc<Swing>,
     reward: Reward,
@@ -90,8 +90,8 @@ pub(crate) struct Course {
     generator: Pcg64,
 }
 
-impl Course {
-    /// A course that waits for its first [`Course::begin`].
+impl Task {
+    /// A task that waits for its first [`Task::begin`].
     pub(crate) fn new(config: Arc<EpisodeConfig>) -> Result<Self, ParameterError> {
         let swing = Swing::shared(&config)?;
         let amplitude = swing.orbit.amplitude();
@@ -291,25 +291,5 @@ pub(crate) fn not_running(name: String) -> ParameterError {
         name,
         value: "a call before reset or after the end of the episode".to_owned(),
         range: "of running episodes: call reset first".to_owned(),
-    }
-}
-
-/// The command \[degrees\] of physics step `step` (counted from 1) of the `steps` in a control period:
-/// a servo takes the command as it is; a base driven `direct` moves there from `start` at constant
-/// speed.
-pub(crate) fn command_at(
-    actuator: Actuator,
-    start: [f64; 2],
-    command: [f64; 2],
-    step: u32,
-    steps: u32,
-) -> [f64; 2] {
-    match actuator {
-        Actuator::Servo => command,
-        Actuator::Direct if step == steps => command,
-        Actuator::Direct => {
-            let share = f64::from(step) / f64::from(steps);
-            [0, 1].map(|axis| start[axis] + share * (command[axis] - start[axis]))
-        }
     }
 }

@@ -1,0 +1,45 @@
+//! From one action to the next: what the base is commanded in between.
+
+use octoarm_arm::{Actuator, Arm, DomainError, ParameterError};
+
+/// The command \[degrees\] of physics step `step` (counted from 1) of the `steps` in a control period:
+/// a servo takes the command as it is; a base driven `direct` moves there from `start` at constant
+/// speed.
+pub(crate) fn command_at(
+    actuator: Actuator,
+    start: [f64; 2],
+    command: [f64; 2],
+    step: u32,
+    steps: u32,
+) -> [f64; 2] {
+    match actuator {
+        Actuator::Servo => command,
+        Actuator::Direct if step == steps => command,
+        Actuator::Direct => {
+            let share = f64::from(step) / f64::from(steps);
+            [0, 1].map(|axis| start[axis] + share * (command[axis] - start[axis]))
+        }
+    }
+}
+
+/// Moves the arm through one control period under a command in degrees ([`command_at`]).
+///
+/// Gives the reason if the arm would leave its domain; it then is in its last valid state.
+///
+/// # Errors
+/// Those of `before_each` physics step, with the arm on its way.
+pub(crate) fn control_step(
+    arm: &mut Arm,
+    command: [f64; 2],
+    physics_steps: u32,
+    before_each: impl Fn() -> Result<(), ParameterError>,
+) -> Result<Option<DomainError>, ParameterError> {
+    let (actuator, start) = (arm.actuator(), arm.base_degrees());
+    for step in 1..=physics_steps {
+        before_each()?;
+        if let Err(failure) = arm.step(command_at(actuator, start, command, step, physics_steps)) {
+            return Ok(Some(failure));
+        }
+    }
+    Ok(None)
+}
