@@ -56,7 +56,7 @@ impl ArmLanes {
         let compartments = first.parameters().compartments;
         for arm in arms {
             if arm.parameters().compartments != compartments {
-                let range = format!("{compartments}, as the first arm's");
+                let range = format!("of one number for all arms, here {compartments}");
                 return refuse("compartments", arm.parameters().compartments, range);
             }
         }

@@ -1,6 +1,11 @@
-//! Many arms at once without episodes: runs in open and closed loop.
+//! Many arms at once: eight in the lanes of a group, the groups shared by threads; and their runs in
+//! open and closed loop.
 
-use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, LinearReadout, ParameterError};
+use std::ops::Range;
+
+use octoarm_arm::{
+    Arm, ArmLanes, ArmState, DomainError, LinearReadout, ParameterError, memory, poll,
+};
 
 use crate::workers::Workers;
 
@@ -19,51 +24,54 @@ pub struct ArmBatch {
 }
 
 /// One group's share of a run.
-struct Errand<'a> {
-    lanes: &'a mut ArmLanes,
+struct GroupRun<'a> {
     first: usize,
-    steps: std::ops::Range<usize>,
-    stride: usize,
     stops: &'a mut [Option<Stop>],
     /// What the readouts say, an entry a step; empty in open loop.
     outputs: Vec<&'a mut [[f64; 2]]>,
     lengths: Vec<&'a mut [f64]>,
 }
 
-impl Errand<'_> {
+impl GroupRun<'_> {
     /// Runs the group: `command(arm, step, lengths)` gives the command and what to note as output; in
     /// open loop the lengths are those at the start.
-    fn run(mut self, command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync)) {
-        let (count, width) = (self.lanes.len(), self.lanes.observation_len());
+    fn run(
+        mut self,
+        lanes: &mut ArmLanes,
+        steps: Range<usize>,
+        stride: usize,
+        command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync),
+    ) {
+        let (count, width) = (lanes.len(), lanes.observation_len());
         let mut now = vec![0.0; count * width];
         for (lane, row) in now.chunks_exact_mut(width).enumerate() {
-            self.lanes.lengths_into(lane, row);
+            lanes.lengths_into(lane, row);
         }
         let mut commands = [[0.0; 2]; WIDTH];
         let mut moves = [false; WIDTH];
-        for step in self.steps.clone() {
+        for step in steps.clone() {
             for (lane, row) in now.chunks_exact(width).enumerate() {
                 moves[lane] = self.stops[lane].is_none();
                 let (angles, output) = command(self.first + lane, step, row);
                 commands[lane] = angles;
                 if let Some(outputs) = self.outputs.get_mut(lane) {
-                    outputs[step - self.steps.start] = output;
+                    outputs[step - steps.start] = output;
                 }
             }
-            if !self.lanes.step(&commands, &moves) {
+            if !lanes.step(&commands, &moves) {
                 for lane in 0..count {
                     if moves[lane] {
-                        self.stops[lane] = self.lanes.failure(lane).map(|failure| (step, failure));
+                        self.stops[lane] = lanes.failure(lane).map(|failure| (step, failure));
                     }
                 }
             }
             for (lane, _) in self.outputs.iter().enumerate() {
-                self.lanes.lengths_into(lane, &mut now[lane * width..(lane + 1) * width]);
+                lanes.lengths_into(lane, &mut now[lane * width..(lane + 1) * width]);
             }
-            if (step + 1) % self.stride == 0 {
-                let row = (step / self.stride - self.steps.start / self.stride) * width;
+            if (step + 1) % stride == 0 {
+                let row = (step / stride - steps.start / stride) * width;
                 for (lane, rows) in self.lengths.iter_mut().enumerate() {
-                    self.lanes.lengths_into(lane, &mut rows[row..row + width]);
+                    lanes.lengths_into(lane, &mut rows[row..row + width]);
                 }
             }
         }
@@ -75,22 +83,25 @@ impl ArmBatch {
     /// number, as many as the processor runs at once.
     ///
     /// # Errors
-    /// [`ParameterError`] for no arms, different numbers of compartments, or no threads.
+    /// [`ParameterError`] for no arms, different numbers of compartments, no threads, or more arms
+    /// than fit into memory; [`ParameterError::Interrupted`].
     pub fn new(arms: &[&Arm], threads: Option<usize>) -> Result<Self, ParameterError> {
         let workers = Workers::new(threads)?;
-        let Some(first) = arms.first() else {
-            // The message of a group without arms.
-            return ArmLanes::new(&[]).map(|_| Self { groups: Vec::new(), count: 0, workers });
-        };
-        let compartments = first.parameters().compartments;
-        if let Some(other) = arms.iter().find(|arm| arm.parameters().compartments != compartments) {
-            return Err(ParameterError::OutOfRange {
-                name: "compartments".to_owned(),
-                value: other.parameters().compartments.to_string(),
-                range: format!("{compartments}, as the first arm's"),
-            });
+        let compartments = arms.first().map_or(0, |arm| arm.parameters().compartments);
+        // A group checks its own arms; here the message of one with no arms, or different ones.
+        match arms.iter().find(|arm| arm.parameters().compartments != compartments) {
+            Some(other) => ArmLanes::new(&[arms[0], other]).map(|_| ())?,
+            None if arms.is_empty() => ArmLanes::new(arms).map(|_| ())?,
+            None => {}
         }
-        let groups = arms.chunks(WIDTH).map(ArmLanes::new).collect::<Result<_, _>>()?;
+        let count = arms.len().div_ceil(WIDTH);
+        let bytes = count.checked_mul(ArmLanes::bytes(compartments));
+        memory::check_room::<u8>(&format!("{} arms", arms.len()), bytes)?;
+        let mut groups = Vec::with_capacity(count);
+        for group in arms.chunks(WIDTH) {
+            poll()?;
+            groups.push(ArmLanes::new(group)?);
+        }
         Ok(Self { groups, count: arms.len(), workers })
     }
 
@@ -99,6 +110,12 @@ impl ArmBatch {
     #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
         self.count
+    }
+
+    /// Number of threads that share the work.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        self.workers.threads()
     }
 
     /// Number of spring lengths of an arm.
@@ -113,12 +130,38 @@ impl ArmBatch {
         self.groups[arm / WIDTH].state(arm % WIDTH)
     }
 
-    /// Restores an arm's state exactly.
+    /// All arms' complete states.
+    #[must_use]
+    pub fn states(&self) -> Vec<ArmState> {
+        (0..self.count).map(|arm| self.state(arm)).collect()
+    }
+
+    /// Restores the states of all arms exactly.
     ///
     /// # Errors
-    /// As [`Arm::set_state`]; the arm is then unchanged.
-    pub fn set_state(&mut self, arm: usize, state: &ArmState) -> Result<(), ParameterError> {
-        self.groups[arm / WIDTH].set_state(arm % WIDTH, state)
+    /// [`ParameterError`] for another number of states, or as [`Arm::set_state`]; no arm is changed
+    /// then.
+    pub fn set_states<'a>(
+        &mut self,
+        states: impl ExactSizeIterator<Item = &'a ArmState>,
+    ) -> Result<(), ParameterError> {
+        check_len("states", states.len(), self.count)?;
+        let before = self.states();
+        for (arm, state) in states.enumerate() {
+            if let Err(error) = self.groups[arm / WIDTH].set_state(arm % WIDTH, state) {
+                for (arm, state) in before[..arm].iter().enumerate() {
+                    self.groups[arm / WIDTH].restore(&[(arm % WIDTH, state)]);
+                }
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+
+    /// The base angles θ, φ of an arm \[degrees\].
+    #[must_use]
+    pub fn base_degrees(&self, arm: usize) -> [f64; 2] {
+        self.groups[arm / WIDTH].base_degrees(arm % WIDTH)
     }
 
     /// Spring lengths \[m\] of all arms.
@@ -132,6 +175,16 @@ impl ArmBatch {
         lengths
     }
 
+    /// Does `work` with every group of eight arms and its piece; threads share the groups.
+    pub(crate) fn for_each_group<T: Send>(
+        &mut self,
+        pieces: impl Iterator<Item = T>,
+        work: impl Fn(&mut ArmLanes, T) + Sync,
+    ) {
+        let groups = self.groups.iter_mut().zip(pieces).collect();
+        self.workers.for_each(groups, |(lanes, piece)| work(lanes, piece));
+    }
+
     /// Every arm follows its commands \[degrees\] in these steps of the run that the commands are for;
     /// the lengths after every `stride`-th step of that run go to that arm's entry of `lengths`, those
     /// of the first such step to its begin. An arm with a stop in `stops` stands still; one whose step
@@ -142,7 +195,7 @@ impl ArmBatch {
     pub fn run(
         &mut self,
         commands: &[&[[f64; 2]]],
-        steps: std::ops::Range<usize>,
+        steps: Range<usize>,
         stride: usize,
         lengths: Vec<&mut [f64]>,
         stops: &mut [Option<Stop>],
@@ -163,7 +216,7 @@ impl ArmBatch {
         &mut self,
         readouts: &[&LinearReadout],
         perturbations: Option<&[&[[f64; 2]]]>,
-        steps: std::ops::Range<usize>,
+        steps: Range<usize>,
         stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
@@ -182,7 +235,7 @@ impl ArmBatch {
     fn run_with(
         &mut self,
         command: &(impl Fn(usize, usize, &[f64]) -> ([f64; 2], [f64; 2]) + Sync),
-        steps: std::ops::Range<usize>,
+        steps: Range<usize>,
         stride: usize,
         outputs: Vec<&mut [[f64; 2]]>,
         lengths: Vec<&mut [f64]>,
@@ -191,21 +244,24 @@ impl ArmBatch {
         assert_eq!(lengths.len(), self.count, "lengths of every arm");
         assert_eq!(stops.len(), self.count, "a stop for every arm");
         let (mut outputs, mut lengths) = (outputs.into_iter(), lengths.into_iter());
-        let errands: Vec<Errand<'_>> = self
-            .groups
-            .iter_mut()
-            .zip(stops.chunks_mut(WIDTH))
-            .enumerate()
-            .map(|(index, (lanes, stops))| Errand {
-                outputs: outputs.by_ref().take(lanes.len()).collect(),
-                lengths: lengths.by_ref().take(lanes.len()).collect(),
-                lanes,
-                first: index * WIDTH,
-                steps: steps.clone(),
-                stride,
-                stops,
-            })
-            .collect();
-        self.workers.for_each(errands, |errand| errand.run(command));
+        let runs = stops.chunks_mut(WIDTH).enumerate().map(|(index, stops)| GroupRun {
+            first: index * WIDTH,
+            outputs: outputs.by_ref().take(stops.len()).collect(),
+            lengths: lengths.by_ref().take(stops.len()).collect(),
+            stops,
+        });
+        self.for_each_group(runs, |lanes, run| run.run(lanes, steps.clone(), stride, command));
     }
+}
+
+/// Refuses another number of entries than there are arms.
+pub(crate) fn check_len(name: &str, found: usize, count: usize) -> Result<(), ParameterError> {
+    if found == count {
+        return Ok(());
+    }
+    Err(ParameterError::Shape {
+        name: name.to_owned(),
+        found: format!("({found},)"),
+        expected: format!("({count},)"),
+    })
 }

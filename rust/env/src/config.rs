@@ -1,6 +1,6 @@
 //! The settings of an episode, under the names that Python and files use.
 
-use octoarm_arm::{Actuator, ArmParameters, ParameterError, read_json};
+use octoarm_arm::{Actuator, ArmParameters, ParameterError, domain, read_json};
 use serde::{Deserialize, Serialize};
 
 use crate::orbit::{Orbit, Target, TargetName};
@@ -131,6 +131,13 @@ impl EpisodeConfig {
     #[must_use]
     pub fn physics_steps(&self) -> u32 {
         (self.control_period / self.arm.timestep).round() as u32
+    }
+
+    /// Bounds of the observed spring lengths \[m\]: the domain's own.
+    #[must_use]
+    pub fn observation_bounds(&self) -> (f64, f64) {
+        let (low, high) = domain::SPRING_LENGTH;
+        (low * self.arm.rest_length, high * self.arm.rest_length)
     }
 
     /// The closed orbit to follow.

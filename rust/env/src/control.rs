@@ -1,6 +1,8 @@
 //! From one action to the next: what the base is commanded in between.
 
-use octoarm_arm::{Actuator, Arm, DomainError, ParameterError};
+use octoarm_arm::{Actuator, Arm, ArmLanes, DomainError, ParameterError};
+
+const WIDTH: usize = ArmLanes::WIDTH;
 
 /// The command \[degrees\] of physics step `step` (counted from 1) of the `steps` in a control period:
 /// a servo takes the command as it is; a base driven `direct` moves there from `start` at constant
@@ -42,4 +44,37 @@ pub(crate) fn control_step(
         }
     }
     Ok(None)
+}
+
+/// [`control_step`] of several arms: each lane makes its number of physics steps, which is 0 for one
+/// that stands still. Says which lanes did not come to the end of theirs, and why.
+pub(crate) fn control_step_of_lanes(
+    lanes: &mut ArmLanes,
+    goals: &[[f64; 2]; WIDTH],
+    physics_steps: &[u32; WIDTH],
+) -> [Option<DomainError>; WIDTH] {
+    let mut failures = [None; WIDTH];
+    let starts: [[f64; 2]; WIDTH] = std::array::from_fn(|lane| lanes.base_degrees(lane));
+    let actuators: [Actuator; WIDTH] = std::array::from_fn(|lane| lanes.actuator(lane));
+    let mut commands = [[0.0; 2]; WIDTH];
+    let mut moves = [false; WIDTH];
+    for step in 1..=*physics_steps.iter().max().unwrap_or(&0) {
+        for lane in 0..WIDTH {
+            let steps = physics_steps[lane];
+            moves[lane] = step <= steps && failures[lane].is_none();
+            if moves[lane] {
+                commands[lane] =
+                    command_at(actuators[lane], starts[lane], goals[lane], step, steps);
+            }
+        }
+        if !lanes.step(&commands, &moves) {
+            for lane in 0..WIDTH {
+                // A lane that has failed before does not move any more.
+                if moves[lane] {
+                    failures[lane] = lanes.failure(lane);
+                }
+            }
+        }
+    }
+    failures
 }

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use octoarm_arm::{Arm, ParameterError, domain};
+use octoarm_arm::{Arm, ParameterError};
 
 use crate::config::EpisodeConfig;
 use crate::control::control_step;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Outcome, Task, check_step};
+use crate::task::{EpisodeState, Outcome, Stage, Task, check_phase, check_step};
 
 /// An arm that follows a target.
 #[derive(Clone, Debug)]
@@ -17,12 +17,24 @@ pub struct Episode {
 }
 
 impl Episode {
-    /// An episode that waits for its first [`Episode::reset`].
+    /// An episode that waits for its first [`Episode::reset`], and ends only if the arm leaves its
+    /// domain.
     ///
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range.
     pub fn new(config: EpisodeConfig) -> Result<Self, ParameterError> {
-        let task = Task::new(Arc::new(config))?;
+        Self::with_limit(config, None)
+    }
+
+    /// [`Episode::new`] whose episodes end after `max_episode_steps`.
+    ///
+    /// # Errors
+    /// As [`Episode::new`].
+    pub fn with_limit(
+        config: EpisodeConfig,
+        max_episode_steps: Option<u64>,
+    ) -> Result<Self, ParameterError> {
+        let task = Task::new(Arc::new(config), max_episode_steps)?;
         Ok(Self { arm: task.swing().arm.clone(), task })
     }
 
@@ -53,8 +65,7 @@ impl Episode {
     /// Bounds of the observed spring lengths \[m\]: the domain's own.
     #[must_use]
     pub fn observation_bounds(&self) -> (f64, f64) {
-        let length = self.config().arm.rest_length;
-        (domain::SPRING_LENGTH.0 * length, domain::SPRING_LENGTH.1 * length)
+        self.config().observation_bounds()
     }
 
     /// Starts the generator of resets anew.
@@ -73,8 +84,8 @@ impl Episode {
     /// # Errors
     /// [`ParameterError::OutOfRange`] for a phase outside [0, 1].
     pub fn reset_to_phase(&mut self, phase: f64) -> Result<Outcome, ParameterError> {
-        let index = self.task.nearest(phase)?;
-        Ok(self.reset_to(index))
+        check_phase(phase)?;
+        Ok(self.reset_to(self.task.nearest(phase)))
     }
 
     fn reset_to(&mut self, index: usize) -> Outcome {
@@ -97,10 +108,21 @@ impl Episode {
         self.task.first_outcome(self.arm.base_degrees())
     }
 
-    /// Whether the episode goes on: it was reset, and the arm has not left its domain.
+    /// Whether the episode goes on: it was reset, and is not over.
     #[must_use]
     pub fn running(&self) -> bool {
-        self.task.running()
+        self.task.stage() == Stage::Running
+    }
+
+    /// Steps since the reset.
+    #[must_use]
+    pub fn elapsed(&self) -> u64 {
+        self.task.elapsed()
+    }
+
+    /// Sets the steps since the reset, of which `max_episode_steps` ends the episode.
+    pub fn set_elapsed(&mut self, steps: u64) {
+        self.task.set_elapsed(steps);
     }
 
     /// The teacher's action now: what the clock commands, as a fraction of the action range.
@@ -118,7 +140,7 @@ impl Episode {
     /// [`ParameterError::OutOfRange`] for an action outside its bounds or a step without a reset;
     /// nothing is changed then.
     pub fn step(&mut self, action: [f64; 2]) -> Result<Outcome, ParameterError> {
-        let action = check_step(action, self.task.running())?;
+        let action = check_step(action, self.running())?;
         let command = self.task.command(action);
         let steps = self.task.physics_steps();
         let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;

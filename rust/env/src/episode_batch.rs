@@ -1,18 +1,18 @@
-//! Many episodes at once: eight arms in the lanes of a group, the groups shared by threads.
+//! Many episodes at once, over a batch of arms.
 //!
 //! Every episode has the very bits that [`crate::Episode`] gives, whatever stands beside it and
 //! however many threads there are.
 
 use std::sync::Arc;
 
-use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, ParameterError, domain, memory, poll};
+use octoarm_arm::{Arm, ArmLanes, ArmState, ParameterError, memory};
 use serde::{Deserialize, Serialize};
 
+use crate::arm_batch::{ArmBatch, check_len};
 use crate::config::EpisodeConfig;
-use crate::control::command_at;
+use crate::control::control_step_of_lanes;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Outcome, Task, check_action, not_running};
-use crate::workers::Workers;
+use crate::task::{EpisodeState, Outcome, Stage, Task, check_action, check_phase, not_running};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -37,21 +37,23 @@ pub struct Last {
     pub outcome: Outcome,
 }
 
-/// What a step of all episodes brought, an entry an episode.
+/// What a step of all episodes brought.
 #[derive(Clone, Debug)]
 pub struct BatchStep {
     /// Spring lengths \[m\], [`EpisodeBatch::observation_len`] an episode.
     pub observations: Vec<f64>,
-    /// Rewards; 0 where the step began a new episode.
-    pub rewards: Vec<f64>,
-    /// Whether the arm left its domain.
-    pub terminated: Vec<bool>,
-    /// Whether the episode's time is over.
-    pub truncated: Vec<bool>,
-    /// What the observations belong to.
+    /// What the observations belong to, an entry an episode.
     pub outcomes: Vec<Outcome>,
-    /// The ends of episodes that were replaced, with [`Autoreset::SameStep`].
+    /// The ends of episodes that were replaced, with [`Autoreset::SameStep`]; an entry an episode.
     pub lasts: Vec<Option<Last>>,
+}
+
+impl BatchStep {
+    /// What the step itself brought every episode: the outcome whose reward and end count.
+    pub fn steps(&self) -> impl Iterator<Item = &Outcome> {
+        let lasts = self.lasts.iter().map(|last| last.as_ref().map(|last| &last.outcome));
+        lasts.zip(&self.outcomes).map(|(last, outcome)| last.unwrap_or(outcome))
+    }
 }
 
 /// What a reset brought, an entry an episode.
@@ -63,169 +65,89 @@ pub struct BatchReset {
     pub outcomes: Vec<Option<Outcome>>,
 }
 
-/// An episode's place in the batch.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct Seat {
-    /// Steps since the reset.
-    elapsed: u64,
-    /// Whether there was a reset at all.
-    begun: bool,
-    /// Whether the episode has ended and waits for a reset.
-    ended: bool,
-}
-
-impl Seat {
-    const EMPTY: Self = Self { elapsed: 0, begun: false, ended: false };
-    const BEGUN: Self = Self { elapsed: 0, begun: true, ended: false };
-}
-
 /// Everything a batch needs to go on exactly where it was saved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatchState {
     episodes: Vec<EpisodeState>,
-    seats: Vec<Seat>,
-}
-
-/// Up to eight episodes.
-#[derive(Debug)]
-struct Group {
-    lanes: ArmLanes,
-    tasks: Vec<Task>,
-    seats: Vec<Seat>,
-}
-
-/// Where a group writes, and what it is told.
-struct Errand<'a> {
-    group: &'a mut Group,
-    actions: &'a [[f64; 2]],
-    observations: &'a mut [f64],
-    rewards: &'a mut [f64],
-    terminated: &'a mut [bool],
-    truncated: &'a mut [bool],
-    outcomes: &'a mut [Option<Outcome>],
-    lasts: &'a mut [Option<Last>],
 }
 
 /// Many arms that each follow a target of their own.
 #[derive(Debug)]
 pub struct EpisodeBatch {
-    groups: Vec<Group>,
-    count: usize,
-    max_episode_steps: Option<u64>,
+    arms: ArmBatch,
+    tasks: Vec<Task>,
     autoreset: Autoreset,
-    workers: Workers,
 }
 
-impl Group {
-    fn new(tasks: Vec<Task>) -> Result<Self, ParameterError> {
-        let arms: Vec<&Arm> = tasks.iter().map(|task| &task.swing().arm).collect();
-        let lanes = ArmLanes::new(&arms)?;
-        Ok(Self { lanes, seats: vec![Seat::EMPTY; tasks.len()], tasks })
-    }
+/// The episodes of a group of arms, and where they write.
+struct GroupStep<'a> {
+    tasks: &'a mut [Task],
+    actions: &'a [[f64; 2]],
+    observations: &'a mut [f64],
+    outcomes: &'a mut [Option<Outcome>],
+    lasts: &'a mut [Option<Last>],
+}
 
-    /// Begins episodes at snapshots, given as (lane, snapshot).
-    fn begin(&mut self, starts: &[(usize, usize)]) {
-        if starts.is_empty() {
-            return;
-        }
-        let states: Vec<(usize, &ArmState)> = starts
-            .iter()
-            .map(|(lane, snapshot)| (*lane, self.tasks[*lane].start(*snapshot)))
-            .collect();
-        self.lanes.restore(&states);
-        for (lane, snapshot) in starts {
-            self.tasks[*lane].begin(*snapshot);
-            self.seats[*lane] = Seat::BEGUN;
-        }
+/// Begins episodes at snapshots, given as (lane, snapshot), and tells where they stand.
+fn begin(
+    lanes: &mut ArmLanes,
+    tasks: &mut [Task],
+    outcomes: &mut [Option<Outcome>],
+    starts: &[(usize, usize)],
+) {
+    if starts.is_empty() {
+        return;
     }
+    let states: Vec<(usize, &ArmState)> =
+        starts.iter().map(|(lane, snapshot)| (*lane, tasks[*lane].start(*snapshot))).collect();
+    lanes.restore(&states);
+    for (lane, snapshot) in starts {
+        tasks[*lane].begin(*snapshot);
+        outcomes[*lane] = Some(tasks[*lane].first_outcome(lanes.base_degrees(*lane)));
+    }
+}
 
-    /// One control period of the active lanes; says why a lane did not come to its end.
-    fn advance(
-        &mut self,
-        actions: &[[f64; 2]],
-        active: &[bool; WIDTH],
-    ) -> [Option<DomainError>; WIDTH] {
-        let mut failures = [None; WIDTH];
-        let mut starts = [[0.0; 2]; WIDTH];
+fn observe(lanes: &ArmLanes, observations: &mut [f64]) {
+    for (lane, row) in observations.chunks_exact_mut(lanes.observation_len()).enumerate() {
+        lanes.lengths_into(lane, row);
+    }
+}
+
+impl GroupStep<'_> {
+    /// A step of the whole group.
+    fn run(self, lanes: &mut ArmLanes, autoreset: Autoreset) {
+        let Self { tasks, actions, observations, outcomes, lasts } = self;
         let mut goals = [[0.0; 2]; WIDTH];
         let mut steps = [0; WIDTH];
-        for (lane, task) in self.tasks.iter().enumerate() {
-            if active[lane] {
-                starts[lane] = self.lanes.base_degrees(lane);
+        let mut starts = Vec::new();
+        for (lane, task) in tasks.iter_mut().enumerate() {
+            if task.stage() == Stage::Over {
+                starts.push((lane, task.draw()));
+            } else {
                 goals[lane] = task.command(actions[lane]);
                 steps[lane] = task.physics_steps();
             }
         }
-        let mut commands = [[0.0; 2]; WIDTH];
-        for step in 1..=steps.into_iter().max().unwrap_or(0) {
-            let mut moves = [false; WIDTH];
-            for lane in 0..self.tasks.len() {
-                moves[lane] = step <= steps[lane] && failures[lane].is_none();
-                let actuator = self.lanes.actuator(lane);
-                commands[lane] = command_at(actuator, starts[lane], goals[lane], step, steps[lane]);
-            }
-            if !self.lanes.step(&commands, &moves) {
-                for lane in 0..self.tasks.len() {
-                    // A lane that has failed before does not move any more.
-                    if moves[lane] {
-                        failures[lane] = self.lanes.failure(lane);
-                    }
-                }
-            }
-        }
-        failures
-    }
-}
-
-impl Errand<'_> {
-    /// A step of the whole group.
-    fn run(self, autoreset: Autoreset, max_episode_steps: Option<u64>, width: usize) {
-        let Self { group, actions, observations, rewards, terminated, truncated, outcomes, lasts } =
-            self;
-        let count = group.tasks.len();
-        let mut active = [false; WIDTH];
-        let mut starts = Vec::new();
-        for lane in 0..count {
-            active[lane] = !group.seats[lane].ended;
-            if !active[lane] {
-                starts.push((lane, group.tasks[lane].draw()));
-            }
-        }
-        group.begin(&starts);
-        let failures = group.advance(actions, &active);
+        begin(lanes, tasks, outcomes, &starts);
+        let failures = control_step_of_lanes(lanes, &goals, &steps);
 
         let mut starts = Vec::new();
-        for lane in 0..count {
-            let base = group.lanes.base_degrees(lane);
-            let task = &mut group.tasks[lane];
-            if !active[lane] {
-                outcomes[lane] = Some(task.first_outcome(base));
+        for (lane, task) in tasks.iter_mut().enumerate() {
+            if steps[lane] == 0 {
                 continue;
             }
-            let outcome = task.finish(actions[lane], base, failures[lane]);
-            let seat = &mut group.seats[lane];
-            seat.elapsed = seat.elapsed.saturating_add(1);
-            rewards[lane] = outcome.terms.total();
-            terminated[lane] = outcome.failure.is_some();
-            truncated[lane] = max_episode_steps.is_some_and(|most| seat.elapsed >= most);
-            seat.ended = terminated[lane] || truncated[lane];
+            let outcome = task.finish(actions[lane], lanes.base_degrees(lane), failures[lane]);
             outcomes[lane] = Some(outcome);
-            if seat.ended && autoreset == Autoreset::SameStep {
-                let mut observation = vec![0.0; width];
-                group.lanes.lengths_into(lane, &mut observation);
+            if task.stage() == Stage::Over && autoreset == Autoreset::SameStep {
+                let mut observation = vec![0.0; lanes.observation_len()];
+                lanes.lengths_into(lane, &mut observation);
                 lasts[lane] = Some(Last { observation, outcome });
                 starts.push((lane, task.draw()));
             }
         }
-        group.begin(&starts);
-        for (lane, _) in starts {
-            let base = group.lanes.base_degrees(lane);
-            outcomes[lane] = Some(group.tasks[lane].first_outcome(base));
-        }
-        for (lane, row) in observations.chunks_exact_mut(width).enumerate() {
-            group.lanes.lengths_into(lane, row);
-        }
+        begin(lanes, tasks, outcomes, &starts);
+        observe(lanes, observations);
     }
 }
 
@@ -238,24 +160,22 @@ impl EpisodeBatch {
     ///
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range; different numbers of
-    /// compartments are refused too.
+    /// compartments are refused too, and more episodes than fit into memory.
     pub fn new(
         configs: &[Arc<EpisodeConfig>],
         max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
-        let compartments = configs.first().map(|config| config.arm.compartments);
-        if let Some(other) =
-            configs.iter().find(|other| Some(other.arm.compartments) != compartments)
-        {
+        let what = format!("num_envs = {}", configs.len());
+        if configs.is_empty() {
             return Err(ParameterError::OutOfRange {
-                name: "arm.compartments".to_owned(),
-                value: other.arm.compartments.to_string(),
-                range: "of one number for all environments".to_owned(),
+                name: "num_envs".to_owned(),
+                value: "0".to_owned(),
+                range: "of positive numbers".to_owned(),
             });
         }
-        let mut tasks = Self::room(configs.len(), compartments.unwrap_or(0))?;
+        let mut tasks = memory::reserved(&what, Some(configs.len()))?;
         let mut known: Vec<Task> = Vec::new();
         for config in configs {
             // Environments are mostly alike, and mostly like the one before.
@@ -263,174 +183,93 @@ impl EpisodeBatch {
             let task = match known.iter().rev().find(same) {
                 Some(task) => task.clone(),
                 None => {
-                    known.push(Task::new(Arc::clone(config))?);
+                    known.push(Task::new(Arc::clone(config), max_episode_steps)?);
                     known[known.len() - 1].clone()
                 }
             };
             tasks.push(task);
         }
-        Self::of(tasks, max_episode_steps, autoreset, threads)
-    }
-
-    /// [`EpisodeBatch::new`] with one configuration for `count` episodes, which share it.
-    ///
-    /// # Errors
-    /// As [`EpisodeBatch::new`].
-    pub fn uniform(
-        config: EpisodeConfig,
-        count: usize,
-        max_episode_steps: Option<u64>,
-        autoreset: Autoreset,
-        threads: Option<usize>,
-    ) -> Result<Self, ParameterError> {
-        let mut tasks = Self::room(count, config.arm.compartments)?;
-        tasks.resize(count, Task::new(Arc::new(config))?);
-        Self::of(tasks, max_episode_steps, autoreset, threads)
-    }
-
-    /// Room for the tasks of `count` episodes, if there is enough for their arms too.
-    fn room(count: usize, compartments: usize) -> Result<Vec<Task>, ParameterError> {
-        let what = format!("num_envs = {count}");
-        let groups = count.div_ceil(WIDTH);
-        memory::check_room::<u8>(&what, groups.checked_mul(ArmLanes::bytes(compartments)))?;
-        memory::reserved(&what, Some(count))
-    }
-
-    fn of(
-        tasks: Vec<Task>,
-        max_episode_steps: Option<u64>,
-        autoreset: Autoreset,
-        threads: Option<usize>,
-    ) -> Result<Self, ParameterError> {
-        let refuse = |name: &str| {
-            Err(ParameterError::OutOfRange {
-                name: name.to_owned(),
-                value: "0".to_owned(),
-                range: "of positive numbers".to_owned(),
-            })
-        };
-        let workers = Workers::new(threads)?;
-        if max_episode_steps == Some(0) {
-            return refuse("max_episode_steps");
-        }
-        let count = tasks.len();
-        if count == 0 {
-            return refuse("num_envs");
-        }
-        let mut groups = Vec::with_capacity(count.div_ceil(WIDTH));
-        let mut tasks = tasks.into_iter();
-        while groups.len() * WIDTH < count {
-            poll()?;
-            groups.push(Group::new(tasks.by_ref().take(WIDTH).collect())?);
-        }
-        Ok(Self { groups, count, max_episode_steps, autoreset, workers })
+        let mut resting: Vec<&Arm> = memory::reserved(&what, Some(tasks.len()))?;
+        resting.extend(tasks.iter().map(|task| &task.swing().arm));
+        let arms = ArmBatch::new(&resting, threads)?;
+        Ok(Self { arms, tasks, autoreset })
     }
 
     /// Number of episodes.
     #[must_use]
     #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
-        self.count
+        self.tasks.len()
     }
 
-    /// Number of threads that share a step.
+    /// The arms, in the order of the episodes.
     #[must_use]
-    pub fn threads(&self) -> usize {
-        self.workers.threads()
+    pub fn arms(&self) -> &ArmBatch {
+        &self.arms
     }
 
     /// Number of spring lengths of an arm.
     #[must_use]
     pub fn observation_len(&self) -> usize {
-        self.groups[0].lanes.observation_len()
-    }
-
-    fn tasks(&self) -> impl Iterator<Item = &Task> {
-        self.groups.iter().flat_map(|group| &group.tasks)
+        self.arms.observation_len()
     }
 
     /// Bounds of the observed spring lengths \[m\] of every episode: the domain's own.
     #[must_use]
     pub fn observation_bounds(&self) -> Vec<(f64, f64)> {
-        let (low, high) = domain::SPRING_LENGTH;
-        self.tasks()
-            .map(|task| task.config().arm.rest_length)
-            .map(|length| (low * length, high * length))
-            .collect()
+        self.tasks.iter().map(|task| task.config().observation_bounds()).collect()
     }
 
     /// Base angles of an action of 1 \[degrees\].
     #[must_use]
     pub fn action_ranges(&self) -> Vec<f64> {
-        self.tasks().map(Task::action_range).collect()
+        self.tasks.iter().map(Task::action_range).collect()
     }
 
     /// The settings of an episode.
     #[must_use]
     pub fn config(&self, index: usize) -> &EpisodeConfig {
-        self.groups[index / WIDTH].tasks[index % WIDTH].config()
+        self.tasks[index].config()
     }
 
     /// The swing whose snapshots an episode begins from.
     #[must_use]
     pub fn swing(&self, index: usize) -> &Swing {
-        self.groups[index / WIDTH].tasks[index % WIDTH].swing()
+        self.tasks[index].swing()
     }
 
     /// The last actions; after a reset, those that the swings were under.
     #[must_use]
     pub fn actions(&self) -> Vec<[f64; 2]> {
-        self.tasks().map(Task::action).collect()
+        self.tasks.iter().map(Task::action).collect()
     }
 
     /// The teachers' actions now.
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
-        self.tasks().map(Task::teacher_action).collect()
+        self.tasks.iter().map(Task::teacher_action).collect()
     }
 
     /// Whether each episode has ended and waits for a reset.
     #[must_use]
     pub fn ended(&self) -> Vec<bool> {
-        self.groups.iter().flat_map(|group| group.seats.iter().map(|seat| seat.ended)).collect()
+        self.tasks.iter().map(|task| task.stage() == Stage::Over).collect()
     }
 
     /// Whether every episode was begun by a reset.
     #[must_use]
     pub fn begun(&self) -> bool {
-        self.groups.iter().all(|group| group.seats.iter().all(|seat| seat.begun))
+        self.tasks.iter().all(|task| task.stage() != Stage::Waiting)
     }
 
     /// Where every episode stands, as if it began there.
     #[must_use]
     pub fn outcomes(&self) -> Vec<Outcome> {
-        self.groups
+        self.tasks
             .iter()
-            .flat_map(|group| {
-                group
-                    .tasks
-                    .iter()
-                    .enumerate()
-                    .map(|(lane, task)| task.first_outcome(group.lanes.base_degrees(lane)))
-            })
+            .enumerate()
+            .map(|(index, task)| task.first_outcome(self.arms.base_degrees(index)))
             .collect()
-    }
-
-    /// Spring lengths \[m\] of all arms, [`EpisodeBatch::observation_len`] an arm.
-    #[must_use]
-    pub fn lengths(&self) -> Vec<f64> {
-        let width = self.observation_len();
-        let mut lengths = vec![0.0; self.count * width];
-        for (index, row) in lengths.chunks_exact_mut(width).enumerate() {
-            self.groups[index / WIDTH].lanes.lengths_into(index % WIDTH, row);
-        }
-        lengths
-    }
-
-    /// An arm's complete state.
-    #[must_use]
-    pub fn arm_state(&self, index: usize) -> ArmState {
-        self.groups[index / WIDTH].lanes.state(index % WIDTH)
     }
 
     /// Begins new episodes: of all, or of those in the mask. A seed starts an episode's generator
@@ -445,41 +284,37 @@ impl EpisodeBatch {
         seeds: &[Option<u64>],
         phase: Option<f64>,
     ) -> Result<BatchReset, ParameterError> {
-        self.check_len("seed", seeds.len())?;
+        check_len("seed", seeds.len(), self.len())?;
         if let Some(mask) = mask {
-            self.check_len("reset_mask", mask.len())?;
+            check_len("reset_mask", mask.len(), self.len())?;
         }
         if let Some(phase) = phase {
-            self.groups[0].tasks[0].nearest(phase)?;
+            check_phase(phase)?;
         }
         let width = self.observation_len();
         let mut observations = self.observations()?;
-        let mut outcomes = vec![None; self.count];
-        for (index, group) in self.groups.iter_mut().enumerate() {
-            let first = index * WIDTH;
+        let mut outcomes = vec![None; self.len()];
+        let mask = mask.map_or_else(|| vec![true; self.len()], <[bool]>::to_vec);
+        let groups = self
+            .tasks
+            .chunks_mut(WIDTH)
+            .zip(mask.chunks(WIDTH).zip(seeds.chunks(WIDTH)))
+            .zip(observations.chunks_mut(WIDTH * width).zip(outcomes.chunks_mut(WIDTH)));
+        self.arms.for_each_group(groups, |lanes, ((tasks, (mask, seeds)), (rows, outcomes))| {
             let mut starts = Vec::new();
-            for (lane, task) in group.tasks.iter_mut().enumerate() {
-                if mask.is_some_and(|mask| !mask[first + lane]) {
-                    continue;
-                }
-                if let Some(seed) = seeds[first + lane] {
+            for (lane, task) in tasks.iter_mut().enumerate().filter(|(lane, _)| mask[*lane]) {
+                if let Some(seed) = seeds[lane] {
                     task.seed(seed);
                 }
-                starts.push(match phase {
-                    None => (lane, task.draw()),
-                    Some(phase) => (lane, task.nearest(phase)?),
-                });
+                let snapshot = match phase {
+                    Some(phase) => task.nearest(phase),
+                    None => task.draw(),
+                };
+                starts.push((lane, snapshot));
             }
-            group.begin(&starts);
-            for (lane, _) in starts {
-                let base = group.lanes.base_degrees(lane);
-                outcomes[first + lane] = Some(group.tasks[lane].first_outcome(base));
-            }
-            for lane in 0..group.tasks.len() {
-                let begin = (first + lane) * width;
-                group.lanes.lengths_into(lane, &mut observations[begin..begin + width]);
-            }
-        }
+            begin(lanes, tasks, outcomes, &starts);
+            observe(lanes, rows);
+        });
         Ok(BatchReset { observations, outcomes })
     }
 
@@ -490,7 +325,7 @@ impl EpisodeBatch {
     /// bounds, an episode that was never reset (or, without autoreset, has ended), or too little
     /// memory; nothing is changed then.
     pub fn step(&mut self, actions: &[[f64; 2]]) -> Result<BatchStep, ParameterError> {
-        self.check_len("actions", actions.len())?;
+        check_len("actions", actions.len(), self.len())?;
         let actions: Vec<[f64; 2]> = actions
             .iter()
             .enumerate()
@@ -498,72 +333,49 @@ impl EpisodeBatch {
                 check_action(*action, |axis| format!("actions[{index}, {axis}]"))
             })
             .collect::<Result<_, _>>()?;
-        let seats = self.groups.iter().flat_map(|group| &group.seats);
-        for (index, seat) in seats.enumerate() {
-            if !seat.begun || (seat.ended && self.autoreset == Autoreset::Disabled) {
+        for (index, task) in self.tasks.iter().enumerate() {
+            let stops = match task.stage() {
+                Stage::Waiting => true,
+                Stage::Running => false,
+                Stage::Over => self.autoreset == Autoreset::Disabled,
+            };
+            if stops {
                 return Err(not_running(format!("step of environment {index}")));
             }
         }
-        let (count, width) = (self.count, self.observation_len());
+        let (count, width, autoreset) = (self.len(), self.observation_len(), self.autoreset);
         let mut observations = self.observations()?;
-        let mut rewards = vec![0.0; count];
-        let mut terminated = vec![false; count];
-        let mut truncated = vec![false; count];
         let mut outcomes = vec![None; count];
         let mut lasts = vec![None; count];
-        let errands: Vec<Errand<'_>> = self
-            .groups
-            .iter_mut()
+        let groups = self
+            .tasks
+            .chunks_mut(WIDTH)
             .zip(actions.chunks(WIDTH))
             .zip(observations.chunks_mut(WIDTH * width))
-            .zip(rewards.chunks_mut(WIDTH))
-            .zip(terminated.chunks_mut(WIDTH).zip(truncated.chunks_mut(WIDTH)))
             .zip(outcomes.chunks_mut(WIDTH).zip(lasts.chunks_mut(WIDTH)))
-            .map(|(((((group, actions), observations), rewards), ends), reports)| Errand {
-                group,
+            .map(|(((tasks, actions), observations), (outcomes, lasts))| GroupStep {
+                tasks,
                 actions,
                 observations,
-                rewards,
-                terminated: ends.0,
-                truncated: ends.1,
-                outcomes: reports.0,
-                lasts: reports.1,
-            })
-            .collect();
-        let (autoreset, most) = (self.autoreset, self.max_episode_steps);
-        self.workers.for_each(errands, |errand| errand.run(autoreset, most, width));
+                outcomes,
+                lasts,
+            });
+        self.arms.for_each_group(groups, |lanes, group| group.run(lanes, autoreset));
         let outcomes = outcomes.into_iter().flatten().collect();
-        Ok(BatchStep { observations, rewards, terminated, truncated, outcomes, lasts })
+        Ok(BatchStep { observations, outcomes, lasts })
     }
 
     /// Room for the spring lengths of all arms.
     fn observations(&self) -> Result<Vec<f64>, ParameterError> {
-        let what = format!("observations of {} environments", self.count);
-        memory::filled(&what, 0.0, self.count.checked_mul(self.observation_len()))
-    }
-
-    fn check_len(&self, name: &str, found: usize) -> Result<(), ParameterError> {
-        if found == self.count {
-            return Ok(());
-        }
-        Err(ParameterError::Shape {
-            name: name.to_owned(),
-            found: format!("({found},)"),
-            expected: format!("({},)", self.count),
-        })
+        let what = format!("observations of {} environments", self.len());
+        memory::filled(&what, 0.0, self.len().checked_mul(self.observation_len()))
     }
 
     /// Saves everything the episodes need to go on.
     #[must_use]
     pub fn state(&self) -> BatchState {
-        let mut state = BatchState { episodes: Vec::new(), seats: Vec::new() };
-        for group in &self.groups {
-            for (lane, task) in group.tasks.iter().enumerate() {
-                state.episodes.push(task.state(group.lanes.state(lane)));
-            }
-            state.seats.extend(&group.seats);
-        }
-        state
+        let states = self.tasks.iter().zip(self.arms.states());
+        BatchState { episodes: states.map(|(task, arm)| task.state(arm)).collect() }
     }
 
     /// Goes on exactly where a batch of the same settings was saved.
@@ -571,23 +383,11 @@ impl EpisodeBatch {
     /// # Errors
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &BatchState) -> Result<(), ParameterError> {
-        self.check_len("state.episodes", state.episodes.len())?;
-        self.check_len("state.seats", state.seats.len())?;
+        check_len("state.episodes", state.episodes.len(), self.len())?;
         state.episodes.iter().try_for_each(EpisodeState::check)?;
-        let before: Vec<ArmState> = (0..self.count).map(|index| self.arm_state(index)).collect();
-        let restored = state.episodes.iter().enumerate().try_for_each(|(index, episode)| {
-            self.groups[index / WIDTH].lanes.set_state(index % WIDTH, &episode.arm)
-        });
-        if let Err(error) = restored {
-            for (index, state) in before.iter().enumerate() {
-                self.groups[index / WIDTH].lanes.restore(&[(index % WIDTH, state)]);
-            }
-            return Err(error);
-        }
-        for (index, (episode, seat)) in state.episodes.iter().zip(&state.seats).enumerate() {
-            let group = &mut self.groups[index / WIDTH];
-            group.tasks[index % WIDTH].set_state(episode);
-            group.seats[index % WIDTH] = *seat;
+        self.arms.set_states(state.episodes.iter().map(|episode| &episode.arm))?;
+        for (task, episode) in self.tasks.iter_mut().zip(&state.episodes) {
+            task.set_state(episode);
         }
         Ok(())
     }

@@ -11,10 +11,12 @@ use crate::config::EpisodeConfig;
 use crate::reward::{Reward, RewardTerms};
 use crate::swing::{Snapshot, Swing};
 
-/// What a step brought, beside the spring lengths.
+/// What a step or a reset brought, beside the spring lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// The terms of the reward; their sum is the reward.
+    /// The reward of the step; 0 of a reset.
+    pub reward: f64,
+    /// The terms of the reward as the body stands.
     pub terms: RewardTerms,
     /// Base angles θ, φ \[degrees\].
     pub base: [f64; 2],
@@ -24,6 +26,27 @@ pub struct Outcome {
     pub tracking_error: f64,
     /// Why the episode ended, if the arm left its domain.
     pub failure: Option<DomainError>,
+    /// Whether the episode's time is over.
+    pub truncated: bool,
+}
+
+impl Outcome {
+    /// Whether the arm left its domain.
+    #[must_use]
+    pub fn terminated(&self) -> bool {
+        self.failure.is_some()
+    }
+}
+
+/// How far an episode is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    /// It waits for its first reset.
+    Waiting,
+    /// It can be stepped.
+    Running,
+    /// The arm left its domain, or the time is over: only a reset goes on.
+    Over,
 }
 
 /// Everything an episode needs to go on exactly where it was saved.
@@ -38,8 +61,14 @@ pub struct EpisodeState {
     pub clock: [f64; 4],
     /// The action before.
     pub action: [f64; 2],
-    /// Whether the episode runs: it was reset and has not failed.
+    /// Whether the episode runs: it was reset and is not over.
     pub running: bool,
+    /// Whether the arm has left its domain, or the time is over.
+    #[serde(default)]
+    pub over: bool,
+    /// Steps since the reset.
+    #[serde(default)]
+    pub elapsed: u64,
     /// The generator of the next resets.
     pub generator: Pcg64,
 }
@@ -86,13 +115,25 @@ pub(crate) struct Task {
     tick: i64,
     clock: [f64; 4],
     action: [f64; 2],
-    running: bool,
+    stage: Stage,
+    elapsed: u64,
+    max_episode_steps: Option<u64>,
     generator: Pcg64,
 }
 
 impl Task {
-    /// A task that waits for its first [`Task::begin`].
-    pub(crate) fn new(config: Arc<EpisodeConfig>) -> Result<Self, ParameterError> {
+    /// A task that waits for its first [`Task::begin`]; episodes end after `max_episode_steps`.
+    pub(crate) fn new(
+        config: Arc<EpisodeConfig>,
+        max_episode_steps: Option<u64>,
+    ) -> Result<Self, ParameterError> {
+        if max_episode_steps == Some(0) {
+            return Err(ParameterError::OutOfRange {
+                name: "max_episode_steps".to_owned(),
+                value: "0".to_owned(),
+                range: "of positive numbers".to_owned(),
+            });
+        }
         let swing = Swing::shared(&config)?;
         let amplitude = swing.orbit.amplitude();
         let reward = config.reward(amplitude);
@@ -111,7 +152,9 @@ impl Task {
             tick: 0,
             clock: [0.0; 4],
             action: [0.0; 2],
-            running: false,
+            stage: Stage::Waiting,
+            elapsed: 0,
+            max_episode_steps,
             generator: Pcg64::seed_from_u64(0),
             config,
             swing,
@@ -136,8 +179,17 @@ impl Task {
         self.physics_steps
     }
 
-    pub(crate) fn running(&self) -> bool {
-        self.running
+    pub(crate) fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// Steps since the reset.
+    pub(crate) fn elapsed(&self) -> u64 {
+        self.elapsed
+    }
+
+    pub(crate) fn set_elapsed(&mut self, steps: u64) {
+        self.elapsed = steps;
     }
 
     pub(crate) fn seed(&mut self, seed: u64) {
@@ -152,21 +204,14 @@ impl Task {
     }
 
     /// The snapshot nearest to a phase in turns, 0 to 1.
-    pub(crate) fn nearest(&self, phase: f64) -> Result<usize, ParameterError> {
-        if !(0.0..=1.0).contains(&phase) {
-            return Err(ParameterError::OutOfRange {
-                name: "phase".to_owned(),
-                value: phase.to_string(),
-                range: "[0, 1] turns".to_owned(),
-            });
-        }
+    pub(crate) fn nearest(&self, phase: f64) -> usize {
         let turns_a_tick = self.config.control_period / self.swing.orbit.period();
         let distance = |index: &usize| {
             let difference = (*index as f64 * turns_a_tick - phase).rem_euclid(1.0);
             difference.min(1.0 - difference)
         };
         let snapshots = 0..self.swing.snapshots.len();
-        Ok(snapshots.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0))
+        snapshots.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     }
 
     /// Begins an episode at a snapshot, into whose state the arm must be put.
@@ -175,7 +220,8 @@ impl Task {
         self.tick = index as i64;
         self.clock = clock;
         self.action = self.as_action(command);
-        self.running = true;
+        self.stage = Stage::Running;
+        self.elapsed = 0;
     }
 
     /// The arm's state at a snapshot.
@@ -217,8 +263,14 @@ impl Task {
         self.clock = self.swing.clock.command(self.tick, self.clock).1;
         self.tick += 1;
         let before = std::mem::replace(&mut self.action, action);
-        self.running = failure.is_none();
-        self.outcome(before, base, failure)
+        self.elapsed = self.elapsed.saturating_add(1);
+        let mut outcome = self.outcome(before, base, failure);
+        outcome.reward = outcome.terms.total();
+        outcome.truncated = self.max_episode_steps.is_some_and(|most| self.elapsed >= most);
+        if outcome.terminated() || outcome.truncated {
+            self.stage = Stage::Over;
+        }
+        outcome
     }
 
     fn outcome(&self, before: [f64; 2], base: [f64; 2], failure: Option<DomainError>) -> Outcome {
@@ -229,7 +281,7 @@ impl Task {
         if failure.is_some() {
             terms.tracking = 0.0;
         }
-        Outcome { terms, base, target, tracking_error, failure }
+        Outcome { reward: 0.0, terms, base, target, tracking_error, failure, truncated: false }
     }
 
     pub(crate) fn state(&self, arm: ArmState) -> EpisodeState {
@@ -238,7 +290,9 @@ impl Task {
             tick: self.tick,
             clock: self.clock,
             action: self.action,
-            running: self.running,
+            running: self.stage == Stage::Running,
+            over: self.stage == Stage::Over,
+            elapsed: self.elapsed,
             generator: self.generator.clone(),
         }
     }
@@ -247,9 +301,26 @@ impl Task {
         self.tick = state.tick;
         self.clock = state.clock;
         self.action = state.action;
-        self.running = state.running;
+        self.stage = match (state.running, state.over) {
+            (true, _) => Stage::Running,
+            (false, true) => Stage::Over,
+            (false, false) => Stage::Waiting,
+        };
+        self.elapsed = state.elapsed;
         self.generator = state.generator.clone();
     }
+}
+
+/// Checks a phase in turns.
+pub(crate) fn check_phase(phase: f64) -> Result<(), ParameterError> {
+    if (0.0..=1.0).contains(&phase) {
+        return Ok(());
+    }
+    Err(ParameterError::OutOfRange {
+        name: "phase".to_owned(),
+        value: phase.to_string(),
+        range: "[0, 1] turns".to_owned(),
+    })
 }
 
 /// How far an action may pass its bounds, and is then taken for the bound: what rounding in single

@@ -110,11 +110,12 @@ fn batch(count: usize, autoreset: Autoreset, threads: usize) -> EpisodeBatch {
 fn seen(batch: &mut EpisodeBatch, actions: &[[f64; 2]]) -> Vec<Seen> {
     let width = batch.observation_len();
     let step = batch.step(actions).unwrap();
+    let ends: Vec<&Outcome> = step.steps().collect();
     (0..batch.len())
         .map(|index| Seen {
             lengths: bits(&step.observations[index * width..(index + 1) * width]),
-            reward: step.rewards[index],
-            ends: (step.terminated[index], step.truncated[index]),
+            reward: ends[index].reward,
+            ends: (ends[index].terminated(), ends[index].truncated),
             outcome: step.outcomes[index],
             last: step.lasts[index].as_ref().map(|last| (bits(&last.observation), last.outcome)),
         })
@@ -130,7 +131,7 @@ fn a_batch_is_its_episodes() {
             .iter()
             .zip(0..)
             .map(|(config, seed)| {
-                let mut episode = Episode::new(config.clone()).unwrap();
+                let mut episode = Episode::with_limit(config.clone(), Some(MOST_STEPS)).unwrap();
                 episode.seed(seed);
                 Single { episode, elapsed: 0, ended: false }
             })
@@ -295,9 +296,7 @@ fn a_batch_of_arms_is_its_arms_in_open_and_closed_loop() {
         let mut outputs = vec![[0.0; 2]; arms.len() * steps];
         let readouts = vec![&readout; arms.len()];
         let rest: Vec<_> = arms.iter().map(Arm::state).collect();
-        for (index, state) in rest.iter().enumerate() {
-            batch.set_state(index, state).unwrap();
-        }
+        batch.set_states(rest.iter()).unwrap();
         let push: Vec<Vec<[f64; 2]>> = (0..arms.len()).map(|arm| drive(arm + 3, steps)).collect();
         let push: Vec<&[[f64; 2]]> = push.iter().map(Vec::as_slice).collect();
         let mut stops = vec![None; arms.len()];

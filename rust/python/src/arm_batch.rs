@@ -1,8 +1,8 @@
 //! `_core.ArmBatch`.
 
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use octoarm_arm::memory::{check_room, filled};
-use octoarm_arm::{ArmLanes, ArmState, LinearReadout};
+use octoarm_arm::memory::filled;
+use octoarm_arm::{ArmState, LinearReadout};
 use octoarm_env::Stop;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -80,7 +80,7 @@ impl ArmBatch {
         let mut lengths = filled(&what, 0.0, cells).map_err(invalid)?;
         let mut stops: Vec<Option<Stop>> = vec![None; arms];
         let size = block(arms, width / 4);
-        let before = if steps > size { self.states() } else { Vec::new() };
+        let before = if steps > size { self.inner.states() } else { Vec::new() };
         for begin in (0..steps).step_by(size) {
             let block = begin..steps.min(begin + size);
             let (from, to) = (block.start / stride * width, block.end / stride * width);
@@ -95,23 +95,11 @@ impl ArmBatch {
             if block.end < steps
                 && let Err(interrupt) = py.check_signals()
             {
-                self.restore(&before)?;
+                self.inner.set_states(before.iter()).map_err(invalid)?;
                 return Err(interrupt);
             }
         }
         Ok((lengths, stops))
-    }
-
-    fn states(&self) -> Vec<ArmState> {
-        (0..self.inner.len()).map(|arm| self.inner.state(arm)).collect()
-    }
-
-    fn restore(&mut self, states: &[ArmState]) -> PyResult<()> {
-        states
-            .iter()
-            .enumerate()
-            .try_for_each(|(arm, state)| self.inner.set_state(arm, state))
-            .map_err(invalid)
     }
 
     fn cube<'py>(&self, py: Python<'py>, flat: Vec<f64>, columns: usize) -> PyResult<Cube<'py>> {
@@ -123,17 +111,9 @@ impl ArmBatch {
 #[pymethods]
 impl ArmBatch {
     #[new]
-    fn new(py: Python<'_>, arms: Vec<PyRef<'_, Arm>>, threads: Option<usize>) -> PyResult<Self> {
-        if let Some(first) = arms.first() {
-            let compartments = first.inner().parameters().compartments;
-            // A copy of each, and the lanes.
-            let bytes = ArmLanes::bytes(compartments).checked_mul(2 * arms.len());
-            check_room::<u8>(&format!("{} arms", arms.len()), bytes).map_err(invalid)?;
-        }
-        let arms: Vec<octoarm_arm::Arm> = arms.iter().map(|arm| arm.inner().clone()).collect();
-        let inner = py
-            .detach(|| octoarm_env::ArmBatch::new(&arms.iter().collect::<Vec<_>>(), threads))
-            .map_err(invalid)?;
+    fn new(arms: Vec<PyRef<'_, Arm>>, threads: Option<usize>) -> PyResult<Self> {
+        let arms: Vec<&octoarm_arm::Arm> = arms.iter().map(|arm| arm.inner()).collect();
+        let inner = octoarm_env::ArmBatch::new(&arms, threads).map_err(invalid)?;
         Ok(Self { inner })
     }
 
@@ -217,21 +197,13 @@ impl ArmBatch {
     }
 
     fn get_states<'py>(&self, py: Python<'py>) -> PyResult<Vec<State<'py>>> {
-        (0..self.inner.len()).map(|arm| state_of(py, self.inner.state(arm))).collect()
+        self.inner.states().into_iter().map(|state| state_of(py, state)).collect()
     }
 
     fn set_states(&mut self, states: Vec<GivenState<'_>>) -> PyResult<()> {
-        if states.len() != self.inner.len() {
-            return Err(PyValueError::new_err(format!(
-                "states has {} entries, expected {}",
-                states.len(),
-                self.inner.len()
-            )));
-        }
         let compartments = self.inner.observation_len() / 4;
         let states: Vec<ArmState> =
             states.iter().map(|state| state_from(compartments, state)).collect::<PyResult<_>>()?;
-        let before = self.states();
-        self.restore(&states).or_else(|error| self.restore(&before).and(Err(error)))
+        self.inner.set_states(states.iter()).map_err(invalid)
     }
 }

@@ -126,12 +126,7 @@ impl Episode {
     ) -> PyResult<(Vector<'py>, f64, bool, Bound<'py, PyDict>)> {
         let action = self::action(action)?;
         let outcome = py.detach(|| self.inner.step(action)).map_err(invalid)?;
-        Ok((
-            self.observation(py),
-            outcome.terms.total(),
-            outcome.failure.is_some(),
-            info(py, &outcome)?,
-        ))
+        Ok((self.observation(py), outcome.reward, outcome.terminated(), info(py, &outcome)?))
     }
 
     fn teacher_action<'py>(&self, py: Python<'py>) -> Vector<'py> {

@@ -156,12 +156,15 @@ impl EpisodeBatch {
     fn step<'py>(&mut self, py: Python<'py>, actions: &Bound<'py, PyAny>) -> PyResult<Step<'py>> {
         let (actions, _) = numbers("actions", actions, &[Some(self.inner.len()), Some(2)])?;
         let mut step = py.detach(|| self.inner.step(pairs_of(&actions))).map_err(invalid)?;
+        let rewards: Vec<f64> = step.steps().map(|outcome| outcome.reward).collect();
+        let terminated: Vec<bool> = step.steps().map(Outcome::terminated).collect();
+        let truncated: Vec<bool> = step.steps().map(|outcome| outcome.truncated).collect();
         let infos = step_infos(py, &mut step)?;
         Ok((
             table(py, step.observations, self.inner.observation_len())?,
-            step.rewards.into_pyarray(py),
-            step.terminated.into_pyarray(py),
-            step.truncated.into_pyarray(py),
+            rewards.into_pyarray(py),
+            terminated.into_pyarray(py),
+            truncated.into_pyarray(py),
             infos,
         ))
     }
@@ -193,7 +196,7 @@ impl EpisodeBatch {
 
     #[getter]
     fn threads(&self) -> usize {
-        self.inner.threads()
+        self.inner.arms().threads()
     }
 
     #[getter]
@@ -233,13 +236,13 @@ impl EpisodeBatch {
     /// Centres of an arm's planes.
     fn positions<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Table<'py>> {
         self.check_index(index)?;
-        table(py, self.inner.arm_state(index).positions().into_flattened(), 3)
+        table(py, self.inner.arms().state(index).positions().into_flattened(), 3)
     }
 
     /// Ends of an arm's longitudinal springs.
     fn joints<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Joints<'py>> {
         self.check_index(index)?;
-        let state = self.inner.arm_state(index);
+        let state = self.inner.arms().state(index);
         joints_array(py, state.joints(&self.inner.config(index).arm))
     }
 }

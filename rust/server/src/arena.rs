@@ -1,5 +1,7 @@
 //! An arm, or a batch of them, as a client steps it: the protocol's states over the episodes.
 
+use std::sync::Arc;
+
 use octoarm_arm::ParameterError;
 use octoarm_env::{Autoreset, Episode, EpisodeBatch, Outcome};
 
@@ -45,9 +47,6 @@ pub(crate) struct Arena {
     pub(crate) body: Body,
     /// Whether an episode runs.
     running: bool,
-    /// Steps of the running episode.
-    pub(crate) elapsed: u32,
-    max_episode_steps: Option<u32>,
     /// How the next episode begins.
     next: NextReset,
     /// Whether the generator of phases has a seed.
@@ -102,12 +101,14 @@ impl Report<'_> {
 impl Arena {
     /// Arms that wait for their first step.
     pub(crate) fn new(settings: &WorldSettings) -> Result<Self, ParameterError> {
+        let config = settings.config.clone();
         let body = match settings.num_envs {
-            None => Body::Single(Box::new(Episode::new(settings.config.clone())?)),
-            Some(count) => Body::Batch(EpisodeBatch::uniform(
-                settings.config.clone(),
-                count,
-                settings.max_episode_steps.map(u64::from),
+            None => {
+                Body::Single(Box::new(Episode::with_limit(config, settings.max_episode_steps)?))
+            }
+            Some(count) => Body::Batch(EpisodeBatch::new(
+                &std::iter::repeat_n(Arc::new(config), count).collect::<Vec<_>>(),
+                settings.max_episode_steps,
                 Autoreset::NextStep,
                 Some(settings.threads),
             )?),
@@ -115,8 +116,6 @@ impl Arena {
         Ok(Self {
             body,
             running: false,
-            elapsed: 0,
-            max_episode_steps: settings.max_episode_steps,
             next: NextReset { seed: settings.seed, phase: None },
             seeded: false,
         })
@@ -181,7 +180,6 @@ impl Arena {
         };
         self.next = NextReset::default();
         self.seeded = true;
-        self.elapsed = 0;
     }
 
     /// Goes on as a request asks: a control period, or the begin of an episode.
@@ -224,7 +222,6 @@ impl Arena {
         self.next = NextReset::default();
         self.seeded = true;
         self.running = true;
-        self.elapsed = 0;
         Ok(self.tell(EnvironmentStateType::Running, order, specs))
     }
 
@@ -235,7 +232,7 @@ impl Arena {
             Body::Single(episode) => {
                 (vec![episode.outcome()], Box::new(|| episode.arm().lengths()))
             }
-            Body::Batch(batch) => (batch.outcomes(), Box::new(|| batch.lengths())),
+            Body::Batch(batch) => (batch.outcomes(), Box::new(|| batch.arms().lengths())),
         };
         let report = Report {
             lengths: &lengths,
@@ -255,10 +252,8 @@ impl Arena {
                     None => episode.action(),
                 };
                 let outcome = episode.step(action)?;
-                self.elapsed = self.elapsed.saturating_add(1);
-                let terminated = outcome.failure.is_some();
-                let truncated = self.max_episode_steps.is_some_and(|most| self.elapsed >= most);
-                self.running = !terminated && !truncated;
+                let (terminated, truncated) = (outcome.terminated(), outcome.truncated);
+                self.running = episode.running();
                 let state = match (terminated, truncated) {
                     (true, _) => EnvironmentStateType::Terminated,
                     (_, true) => EnvironmentStateType::Interrupted,
@@ -267,7 +262,7 @@ impl Arena {
                 let report = Report {
                     lengths: &|| episode.arm().lengths(),
                     outcomes: &[outcome],
-                    rewards: &[outcome.terms.total()],
+                    rewards: &[outcome.reward],
                     terminated: &[terminated],
                     truncated: &[truncated],
                 };
@@ -283,12 +278,13 @@ impl Arena {
                     }
                 };
                 let step = batch.step(actions)?;
+                let ends = &step.outcomes;
                 let report = Report {
                     lengths: &|| step.observations.clone(),
-                    outcomes: &step.outcomes,
-                    rewards: &step.rewards,
-                    terminated: &step.terminated,
-                    truncated: &step.truncated,
+                    outcomes: ends,
+                    rewards: &ends.iter().map(|end| end.reward).collect::<Vec<_>>(),
+                    terminated: &ends.iter().map(Outcome::terminated).collect::<Vec<_>>(),
+                    truncated: &ends.iter().map(|end| end.truncated).collect::<Vec<_>>(),
                 };
                 Ok(report.step(EnvironmentStateType::Running, &order.observations, specs))
             }

@@ -90,10 +90,7 @@ impl Property {
             P::ArmJoints => "Ends of the longitudinal springs, base first [m]",
             P::ElapsedSteps => "Steps of the episode, which max_episode_steps ends",
             P::Seed => "Starts the generator of phases anew; of a batch, with the next reset",
-            P::State => {
-                "All that the episodes need to go on exactly where they stand, as JSON; a single arm \
-                 counts its elapsed_steps from 0 again"
-            }
+            P::State => "All that the episodes need to go on exactly where they stand, as JSON",
         }
     }
 
@@ -166,7 +163,9 @@ fn read(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Tens
         (P::TeacherAction, Body::Batch(batch)) => table(&batch.teacher_actions()),
         (P::State, Body::Single(episode)) => json(&episode.state()),
         (P::State, Body::Batch(batch)) => json(&batch.state()),
-        (P::ElapsedSteps, _) => Ok(tensor::integer(i64::from(arena.elapsed))),
+        (P::ElapsedSteps, Body::Single(episode)) => {
+            Ok(tensor::integer(episode.elapsed().cast_signed()))
+        }
         (P::ArmPositions, Body::Single(episode)) => {
             let rows = episode.arm().positions();
             Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 3]))
@@ -200,14 +199,14 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
             })?;
             arena.seed(seed);
         }
-        (P::ElapsedSteps, Body::Single(_)) => {
+        (P::ElapsedSteps, Body::Single(episode)) => {
             let json = tensor::to_json(key, value, 1)?;
-            let steps = json.as_u64().and_then(|steps| u32::try_from(steps).ok());
-            arena.elapsed = steps.ok_or_else(|| {
+            let steps = json.as_u64().filter(|steps| *steps < 1 << 32);
+            episode.set_elapsed(steps.ok_or_else(|| {
                 Refusal::invalid(format!(
                     "elapsed_steps = {json} is outside the allowed range [0, 2^32)"
                 ))
-            })?;
+            })?);
         }
         (P::State, body) => {
             let text = match &value.payload {

@@ -38,7 +38,7 @@ pub(crate) struct WorldSettings {
     /// Episodes of a batch; without a number the world is a single arm.
     pub(crate) num_envs: Option<usize>,
     /// Steps after which an episode is truncated.
-    pub(crate) max_episode_steps: Option<u32>,
+    pub(crate) max_episode_steps: Option<u64>,
     /// Threads that share a batch's step.
     pub(crate) threads: usize,
 }
@@ -181,7 +181,7 @@ impl WorldSettings {
         }
         let max_episode_steps = match max_episode_steps {
             -1 => None,
-            1.. if max_episode_steps <= i64::from(u32::MAX) => Some(max_episode_steps as u32),
+            1.. if max_episode_steps <= i64::from(u32::MAX) => Some(max_episode_steps as u64),
             other => {
                 return Err(out_of_range(
                     "max_episode_steps",
