@@ -6,8 +6,9 @@ use octoarm_arm::{Arm, ParameterError};
 
 use crate::config::EpisodeConfig;
 use crate::control::control_step;
+use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Outcome, Stage, Task, check_phase, check_step};
+use crate::task::{EpisodeState, Stage, Task, check_phase, check_step};
 
 /// An arm that follows a target.
 #[derive(Clone, Debug)]

@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 use crate::arm_batch::{ArmBatch, check_len};
 use crate::config::EpisodeConfig;
 use crate::control::control_step_of_lanes;
+use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Outcome, Stage, Task, check_action, check_phase, not_running};
+use crate::task::{EpisodeState, Stage, Task, check_action, check_phase, not_running};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 

@@ -6,7 +6,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use octoarm_arm::{Arm, ArmState, DomainError, ParameterError, poll};
+use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, DomainError, ParameterError, poll};
 
 use crate::config::EpisodeConfig;
 use crate::control::control_step;
@@ -74,24 +74,48 @@ fn unable(config: &EpisodeConfig, orbit: &Orbit, failure: &DomainError) -> Param
     }
 }
 
+/// What a swing depends on.
+#[derive(PartialEq)]
+struct Key {
+    target: Target,
+    amplitude: Option<f64>,
+    control_period: f64,
+    actuator: Actuator,
+    arm: ArmParameters,
+}
+
+impl Key {
+    fn of(config: &EpisodeConfig) -> Self {
+        Self {
+            target: config.target.clone(),
+            amplitude: config.amplitude,
+            control_period: config.control_period,
+            actuator: config.actuator,
+            arm: config.arm.clone(),
+        }
+    }
+}
+
+/// Control periods before the first snapshot.
+fn lead_in(config: &EpisodeConfig) -> f64 {
+    ((RAMP + SETTLE) / config.control_period).ceil()
+}
+
 impl Swing {
+    /// Physics steps that [`Swing::new`] makes for valid settings.
+    #[must_use]
+    pub fn physics_steps(config: &EpisodeConfig) -> f64 {
+        (lead_in(config) + SNAPSHOTS as f64 - 1.0) * f64::from(config.physics_steps())
+    }
+
     /// The swing of a configuration; computed once, then shared by every environment that asks for it.
     ///
     /// # Errors
     /// [`ParameterError`] for settings out of range, a body without a rest state, or a target that
     /// takes the arm out of its domain.
     pub fn shared(config: &EpisodeConfig) -> Result<Arc<Self>, ParameterError> {
-        static SHARED: Mutex<Vec<(String, Arc<Swing>)>> = Mutex::new(Vec::new());
-        // Only what the swing depends on: rewards and action range do not matter.
-        let standard = EpisodeConfig::default();
-        let key = EpisodeConfig {
-            action_range: None,
-            tracking_weight: standard.tracking_weight,
-            reward_width: standard.reward_width,
-            action_change_weight: standard.action_change_weight,
-            ..config.clone()
-        }
-        .to_json()?;
+        static SHARED: Mutex<Vec<(Key, Arc<Swing>)>> = Mutex::new(Vec::new());
+        let key = Key::of(config);
         {
             let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
             if let Some(at) = shared.iter().position(|(known, _)| *known == key) {
@@ -121,7 +145,7 @@ impl Swing {
         let resting = Arm::new(config.arm.clone(), config.actuator)?;
         let mut arm = resting.clone();
         let physics_steps = config.physics_steps();
-        let lead_in = ((RAMP + SETTLE) / config.control_period).ceil() as i64;
+        let lead_in = lead_in(config) as i64;
         let mut base = [0.0; 4];
         let mut snapshots = Vec::with_capacity(SNAPSHOTS);
         for tick in -lead_in..SNAPSHOTS as i64 - 1 {

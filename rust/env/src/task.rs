@@ -8,35 +8,9 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use crate::config::EpisodeConfig;
-use crate::reward::{Reward, RewardTerms};
+use crate::outcome::Outcome;
+use crate::reward::Reward;
 use crate::swing::{Snapshot, Swing};
-
-/// What a step or a reset brought, beside the spring lengths.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome {
-    /// The reward of the step; 0 of a reset.
-    pub reward: f64,
-    /// The terms of the reward as the body stands.
-    pub terms: RewardTerms,
-    /// Base angles θ, φ \[degrees\].
-    pub base: [f64; 2],
-    /// The target at this instant \[degrees\].
-    pub target: [f64; 2],
-    /// Distance between the two \[degrees\].
-    pub tracking_error: f64,
-    /// Why the episode ended, if the arm left its domain.
-    pub failure: Option<DomainError>,
-    /// Whether the episode's time is over.
-    pub truncated: bool,
-}
-
-impl Outcome {
-    /// Whether the arm left its domain.
-    #[must_use]
-    pub fn terminated(&self) -> bool {
-        self.failure.is_some()
-    }
-}
 
 /// How far an episode is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,9 +2,10 @@
 
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use octoarm_arm::ParameterError;
-use octoarm_env::{EpisodeConfig, Orbit, Outcome, TargetName};
+use octoarm_env::{EpisodeConfig, Orbit, Outcome, Reading, TargetName};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Joints, Table, Vector, is_dense, joints_array, numbers, table};
@@ -80,15 +81,25 @@ impl Episode {
     }
 }
 
+/// The info of one episode; its numbers are NumPy's, as its arrays are: some readers of infos ask all
+/// of them for a dtype.
 fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+    static NUMBER: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let number = NUMBER.import(py, "numpy", "float64")?;
     let info = PyDict::new(py);
-    info.set_item(pyo3::intern!(py, "base_angles"), PyArray1::from_slice(py, &outcome.base))?;
-    info.set_item(pyo3::intern!(py, "target"), PyArray1::from_slice(py, &outcome.target))?;
-    info.set_item(pyo3::intern!(py, "tracking_error"), outcome.tracking_error)?;
-    info.set_item(pyo3::intern!(py, "reward_tracking"), outcome.terms.tracking)?;
-    info.set_item(pyo3::intern!(py, "reward_action_change"), outcome.terms.action_change)?;
-    if let Some(failure) = &outcome.failure {
-        info.set_item(pyo3::intern!(py, "failure"), failure.to_string())?;
+    for word in Outcome::INFO {
+        match word.reading {
+            Reading::Number(read) => info.set_item(word.name, number.call1((read(outcome),))?)?,
+            Reading::Angles(read) => {
+                info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
+            }
+            Reading::Flag(read) => info.set_item(word.name, read(outcome))?,
+            Reading::Text(read) => {
+                if let Some(text) = read(outcome) {
+                    info.set_item(word.name, text)?;
+                }
+            }
+        }
     }
     Ok(info)
 }

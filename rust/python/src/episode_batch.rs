@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use numpy::{IntoPyArray, PyArray1};
 use octoarm_arm::{ParameterError, memory};
-use octoarm_env::{Autoreset, BatchStep, EpisodeConfig, Outcome};
+use octoarm_env::{Autoreset, BatchStep, EpisodeConfig, Outcome, Reading, Word};
 use pyo3::exceptions::PyValueError;
 use pyo3::ffi::PyObject;
 use pyo3::intern;
@@ -37,34 +37,35 @@ fn set_mask(infos: &Infos<'_>, key: &str, mask: &[bool]) -> PyResult<()> {
 fn infos<'py>(py: Python<'py>, outcomes: &[Option<&Outcome>]) -> PyResult<Infos<'py>> {
     let infos = PyDict::new(py);
     let mask: Vec<bool> = outcomes.iter().map(Option::is_some).collect();
-    let pair = |value: fn(&Outcome) -> [f64; 2]| -> Vec<f64> {
-        outcomes.iter().flat_map(|outcome| outcome.map_or([0.0; 2], value)).collect()
-    };
-    let number = |value: fn(&Outcome) -> f64| -> Vec<f64> {
-        outcomes.iter().map(|outcome| outcome.map_or(0.0, value)).collect()
-    };
     if !mask.contains(&true) {
         return Ok(infos);
     }
-    infos.set_item(intern!(py, "base_angles"), table(py, pair(|outcome| outcome.base), 2)?)?;
-    set_mask(&infos, "base_angles", &mask)?;
-    infos.set_item(intern!(py, "target"), table(py, pair(|outcome| outcome.target), 2)?)?;
-    set_mask(&infos, "target", &mask)?;
-    let set_number = |key: &str, values: Vec<f64>| -> PyResult<()> {
-        infos.set_item(key, values.into_pyarray(py))?;
-        set_mask(&infos, key, &mask)
-    };
-    set_number("tracking_error", number(|outcome| outcome.tracking_error))?;
-    set_number("reward_tracking", number(|outcome| outcome.terms.tracking))?;
-    set_number("reward_action_change", number(|outcome| outcome.terms.action_change))?;
-    let failures: Vec<Option<String>> = outcomes
-        .iter()
-        .map(|outcome| outcome.and_then(|outcome| outcome.failure).map(|why| why.to_string()))
-        .collect();
-    if failures.iter().any(Option::is_some) {
-        let mask: Vec<bool> = failures.iter().map(Option::is_some).collect();
-        infos.set_item(intern!(py, "failure"), objects(py, failures)?)?;
-        set_mask(&infos, "failure", &mask)?;
+    for Word { name, reading, .. } in Outcome::INFO {
+        let some = || outcomes.iter().copied();
+        match reading {
+            Reading::Number(read) => {
+                let values: Vec<f64> = some().map(|outcome| outcome.map_or(0.0, read)).collect();
+                infos.set_item(name, values.into_pyarray(py))?;
+            }
+            Reading::Angles(read) => {
+                let values = some().flat_map(|outcome| outcome.map_or([0.0; 2], read)).collect();
+                infos.set_item(name, table(py, values, 2)?)?;
+            }
+            Reading::Flag(read) => {
+                let values: Vec<bool> = some().map(|outcome| outcome.is_some_and(read)).collect();
+                infos.set_item(name, values.into_pyarray(py))?;
+            }
+            Reading::Text(read) => {
+                let texts: Vec<Option<String>> = some().map(|outcome| read(outcome?)).collect();
+                let mask: Vec<bool> = texts.iter().map(Option::is_some).collect();
+                if mask.contains(&true) {
+                    infos.set_item(name, objects(py, texts)?)?;
+                    set_mask(&infos, name, &mask)?;
+                }
+                continue;
+            }
+        }
+        set_mask(&infos, name, &mask)?;
     }
     Ok(infos)
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use octoarm_arm::ParameterError;
-use octoarm_env::{Autoreset, Episode, EpisodeBatch, Outcome};
+use octoarm_env::{Autoreset, Episode, EpisodeBatch, Outcome, Reading};
 
 use crate::protocol::{EnvironmentStateType, Tensor};
 use crate::reply::{Answer, Refusal};
@@ -28,8 +28,8 @@ pub(crate) enum Body {
 pub(crate) struct Order {
     /// The actions; without them every arm keeps its last one.
     pub(crate) actions: Option<Vec<[f64; 2]>>,
-    /// What is wanted back.
-    pub(crate) observations: Vec<Observation>,
+    /// What is wanted back, with the numbers on the wire.
+    pub(crate) observations: Vec<(u64, Observation)>,
 }
 
 /// What a step brought.
@@ -38,7 +38,7 @@ pub(crate) struct Step {
     /// Where the sequence stands.
     pub(crate) state: EnvironmentStateType,
     /// The observations that were ordered, in their order.
-    pub(crate) observations: Vec<(Observation, Tensor)>,
+    pub(crate) observations: Vec<(u64, Tensor)>,
 }
 
 /// An arm or a batch between two requests.
@@ -53,49 +53,30 @@ pub(crate) struct Arena {
     seeded: bool,
 }
 
-/// What an arm's step tells.
-struct Report<'a> {
-    lengths: &'a dyn Fn() -> Vec<f64>,
-    outcomes: &'a [Outcome],
-    rewards: &'a [f64],
-    terminated: &'a [bool],
-    truncated: &'a [bool],
-}
-
-impl Report<'_> {
-    fn tensor(&self, observation: Observation, shape: &[i32]) -> Tensor {
-        let numbers = |value: fn(&Outcome) -> f64| {
-            tensor::doubles(self.outcomes.iter().map(value).collect(), shape)
-        };
-        let pairs = |value: fn(&Outcome) -> [f64; 2]| {
-            tensor::doubles(self.outcomes.iter().flat_map(value).collect(), shape)
-        };
+/// The observations that are wanted of arms with these lengths and outcomes.
+fn observe(
+    wanted: &[(u64, Observation)],
+    specs: &Specs,
+    lengths: &dyn Fn() -> Vec<f64>,
+    outcomes: &[Outcome],
+) -> Vec<(u64, Tensor)> {
+    let tensor = |observation: Observation| {
+        let shape = &specs.shape(observation);
+        let outcomes = outcomes.iter();
         match observation {
-            Observation::SpringLengths => tensor::doubles((self.lengths)(), shape),
-            Observation::Reward => tensor::doubles(self.rewards.to_vec(), shape),
-            Observation::BaseAngles => pairs(|outcome| outcome.base),
-            Observation::Target => pairs(|outcome| outcome.target),
-            Observation::TrackingError => numbers(|outcome| outcome.tracking_error),
-            Observation::RewardTracking => numbers(|outcome| outcome.terms.tracking),
-            Observation::RewardActionChange => numbers(|outcome| outcome.terms.action_change),
-            Observation::Terminated => tensor::bools(self.terminated.to_vec(), shape),
-            Observation::Truncated => tensor::bools(self.truncated.to_vec(), shape),
-            Observation::Failure => {
-                let texts = self.outcomes.iter().map(|outcome| {
-                    outcome.failure.map_or_else(String::new, |failure| failure.to_string())
-                });
-                tensor::strings(texts.collect(), shape)
-            }
+            Observation::SpringLengths => tensor::doubles(lengths(), shape),
+            Observation::Word(word) => match word.reading {
+                Reading::Number(read) => tensor::doubles(outcomes.map(read).collect(), shape),
+                Reading::Angles(read) => tensor::doubles(outcomes.flat_map(read).collect(), shape),
+                Reading::Flag(read) => tensor::bools(outcomes.map(read).collect(), shape),
+                Reading::Text(read) => {
+                    let texts = outcomes.map(|outcome| read(outcome).unwrap_or_default());
+                    tensor::strings(texts.collect(), shape)
+                }
+            },
         }
-    }
-
-    fn step(&self, state: EnvironmentStateType, wanted: &[Observation], specs: &Specs) -> Step {
-        let observations = wanted
-            .iter()
-            .map(|wanted| (*wanted, self.tensor(*wanted, &specs.shape(*wanted))))
-            .collect();
-        Step { state, observations }
-    }
+    };
+    wanted.iter().map(|(uid, observation)| (*uid, tensor(*observation))).collect()
 }
 
 impl Arena {
@@ -227,21 +208,16 @@ impl Arena {
 
     /// Where every arm stands, with a reward of 0.
     fn tell(&self, state: EnvironmentStateType, order: &Order, specs: &Specs) -> Step {
-        let count = self.len();
-        let (outcomes, lengths): (Vec<Outcome>, Box<dyn Fn() -> Vec<f64>>) = match &self.body {
+        let (mut outcomes, lengths): (Vec<Outcome>, Box<dyn Fn() -> Vec<f64>>) = match &self.body {
             Body::Single(episode) => {
                 (vec![episode.outcome()], Box::new(|| episode.arm().lengths()))
             }
             Body::Batch(batch) => (batch.outcomes(), Box::new(|| batch.arms().lengths())),
         };
-        let report = Report {
-            lengths: &lengths,
-            outcomes: &outcomes,
-            rewards: &vec![0.0; count],
-            terminated: &vec![false; count],
-            truncated: &vec![state == EnvironmentStateType::Interrupted; count],
-        };
-        report.step(state, &order.observations, specs)
+        for outcome in &mut outcomes {
+            outcome.truncated = state == EnvironmentStateType::Interrupted;
+        }
+        Step { state, observations: observe(&order.observations, specs, &lengths, &outcomes) }
     }
 
     fn advance(&mut self, order: &Order, specs: &Specs) -> Answer<Step> {
@@ -252,21 +228,15 @@ impl Arena {
                     None => episode.action(),
                 };
                 let outcome = episode.step(action)?;
-                let (terminated, truncated) = (outcome.terminated(), outcome.truncated);
                 self.running = episode.running();
-                let state = match (terminated, truncated) {
+                let state = match (outcome.terminated(), outcome.truncated) {
                     (true, _) => EnvironmentStateType::Terminated,
                     (_, true) => EnvironmentStateType::Interrupted,
                     _ => EnvironmentStateType::Running,
                 };
-                let report = Report {
-                    lengths: &|| episode.arm().lengths(),
-                    outcomes: &[outcome],
-                    rewards: &[outcome.reward],
-                    terminated: &[terminated],
-                    truncated: &[truncated],
-                };
-                Ok(report.step(state, &order.observations, specs))
+                let lengths = || episode.arm().lengths();
+                let observations = observe(&order.observations, specs, &lengths, &[outcome]);
+                Ok(Step { state, observations })
             }
             Body::Batch(batch) => {
                 let kept;
@@ -278,15 +248,9 @@ impl Arena {
                     }
                 };
                 let step = batch.step(actions)?;
-                let ends = &step.outcomes;
-                let report = Report {
-                    lengths: &|| step.observations.clone(),
-                    outcomes: ends,
-                    rewards: &ends.iter().map(|end| end.reward).collect::<Vec<_>>(),
-                    terminated: &ends.iter().map(Outcome::terminated).collect::<Vec<_>>(),
-                    truncated: &ends.iter().map(|end| end.truncated).collect::<Vec<_>>(),
-                };
-                Ok(report.step(EnvironmentStateType::Running, &order.observations, specs))
+                let lengths = || step.observations.clone();
+                let observations = observe(&order.observations, specs, &lengths, &step.outcomes);
+                Ok(Step { state: EnvironmentStateType::Running, observations })
             }
         }
     }

@@ -210,8 +210,8 @@ fn order(request: &StepRequest, specs: &Specs, running: bool) -> Answer<Order> {
     let mut observations = Vec::with_capacity(request.requested_observations.len().min(16));
     for uid in &request.requested_observations {
         let observation = Observation::of(*uid)?;
-        if !observations.contains(&observation) {
-            observations.push(observation);
+        if observations.iter().all(|(known, _)| known != uid) {
+            observations.push((*uid, observation));
         }
     }
     let mut actions = None;
@@ -229,14 +229,7 @@ fn order(request: &StepRequest, specs: &Specs, running: bool) -> Answer<Order> {
 }
 
 fn step_response(step: Step) -> StepResponse {
-    StepResponse {
-        state: step.state as i32,
-        observations: step
-            .observations
-            .into_iter()
-            .map(|(observation, tensor)| (observation.uid(), tensor))
-            .collect(),
-    }
+    StepResponse { state: step.state as i32, observations: step.observations.into_iter().collect() }
 }
 
 impl Seat {

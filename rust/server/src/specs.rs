@@ -1,6 +1,6 @@
 //! What a client of a world can do and see.
 
-use octoarm_env::EpisodeConfig;
+use octoarm_env::{EpisodeConfig, Outcome, Reading, Word};
 
 use crate::protocol::tensor::DoubleArray;
 use crate::protocol::tensor_spec::{Value, value};
@@ -11,73 +11,56 @@ use crate::reply::{Answer, Refusal};
 pub(crate) const ACTION: u64 = 1;
 
 /// What can be observed; its number on the wire is its place here, from 1.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) enum Observation {
+    /// The spring lengths.
     SpringLengths,
-    Reward,
-    BaseAngles,
-    Target,
-    TrackingError,
-    RewardTracking,
-    RewardActionChange,
-    Failure,
-    Terminated,
-    Truncated,
+    /// What an outcome holds.
+    Word(Word),
 }
 
-use Observation as O;
-
 impl Observation {
-    pub(crate) const ALL: [Self; 10] = [
-        O::SpringLengths,
-        O::Reward,
-        O::BaseAngles,
-        O::Target,
-        O::TrackingError,
-        O::RewardTracking,
-        O::RewardActionChange,
-        O::Failure,
-        O::Terminated,
-        O::Truncated,
-    ];
+    /// All of them, in the order of their numbers.
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        let [reward, terminated, truncated] = Outcome::RESULT;
+        let words = [reward].into_iter().chain(Outcome::INFO).chain([terminated, truncated]);
+        std::iter::once(Self::SpringLengths).chain(words.map(Self::Word))
+    }
 
     /// The observation of a number on the wire.
     pub(crate) fn of(uid: u64) -> Answer<Self> {
         let place = usize::try_from(uid).ok().and_then(|uid| uid.checked_sub(1));
-        place.and_then(|place| Self::ALL.get(place)).copied().ok_or_else(|| {
+        place.and_then(|place| Self::all().nth(place)).ok_or_else(|| {
             Refusal::invalid(format!(
                 "observation {uid} is unknown; known are 1 to {}",
-                Self::ALL.len()
+                Self::all().count()
             ))
         })
-    }
-
-    /// The number on the wire.
-    pub(crate) fn uid(self) -> u64 {
-        self as u64 + 1
     }
 
     /// The name, as in Gymnasium's `info` where it is there.
     fn name(self) -> &'static str {
         match self {
-            O::SpringLengths => "spring_lengths",
-            O::Reward => "reward",
-            O::BaseAngles => "base_angles",
-            O::Target => "target",
-            O::TrackingError => "tracking_error",
-            O::RewardTracking => "reward_tracking",
-            O::RewardActionChange => "reward_action_change",
-            O::Terminated => "terminated",
-            O::Truncated => "truncated",
-            O::Failure => "failure",
+            Self::SpringLengths => "spring_lengths",
+            Self::Word(word) => word.name,
         }
     }
 
     fn data_type(self) -> DataType {
         match self {
-            O::Terminated | O::Truncated => DataType::Bool,
-            O::Failure => DataType::String,
+            Self::Word(Word { reading: Reading::Flag(_), .. }) => DataType::Bool,
+            Self::Word(Word { reading: Reading::Text(_), .. }) => DataType::String,
             _ => DataType::Double,
+        }
+    }
+
+    fn bounds(self, config: &EpisodeConfig, amplitude: f64) -> [Option<f64>; 2] {
+        match self {
+            Self::SpringLengths => {
+                let (low, high) = config.observation_bounds();
+                [Some(low), Some(high)]
+            }
+            Self::Word(word) => (word.bounds)(config, amplitude),
         }
     }
 }
@@ -105,22 +88,8 @@ impl Specs {
             batch: num_envs.map(|count| count as i32),
             message: ActionObservationSpecs::default(),
         };
-        let (low, high) = octoarm_arm::domain::SPRING_LENGTH;
-        let length = config.arm.rest_length;
-        // Between its samples the target is a cubic, with weights that add up to at most 1.25.
-        let target = 1.25 * amplitude;
-        // Each of the two entries of an action changes by at most 2.
-        let change = -8.0 * config.action_change_weight;
-        for observation in O::ALL {
-            let (min, max) = match observation {
-                O::SpringLengths => (Some(low * length), Some(high * length)),
-                O::Reward => (Some(change), Some(config.tracking_weight)),
-                O::Target => (Some(-target), Some(target)),
-                O::TrackingError => (Some(0.0), None),
-                O::RewardTracking => (Some(0.0), Some(config.tracking_weight)),
-                O::RewardActionChange => (Some(change), Some(0.0)),
-                O::BaseAngles | O::Terminated | O::Truncated | O::Failure => (None, None),
-            };
+        for (observation, uid) in Observation::all().zip(1..) {
+            let [min, max] = observation.bounds(config, amplitude);
             let spec = TensorSpec {
                 name: observation.name().to_owned(),
                 shape: specs.shape(observation),
@@ -128,7 +97,7 @@ impl Specs {
                 min: min.map(bound),
                 max: max.map(bound),
             };
-            specs.message.observations.insert(observation.uid(), spec);
+            specs.message.observations.insert(uid, spec);
         }
         let action = TensorSpec {
             name: "action".to_owned(),
@@ -154,9 +123,9 @@ impl Specs {
     /// An observation's shape.
     pub(crate) fn shape(&self, observation: Observation) -> Vec<i32> {
         match observation {
-            O::SpringLengths => self.rows(&[self.lengths]),
-            O::BaseAngles | O::Target => self.rows(&[2]),
-            _ => self.rows(&[]),
+            Observation::SpringLengths => self.rows(&[self.lengths]),
+            Observation::Word(Word { reading: Reading::Angles(_), .. }) => self.rows(&[2]),
+            Observation::Word(_) => self.rows(&[]),
         }
     }
 }

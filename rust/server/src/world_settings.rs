@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 use octoarm_arm::ArmParameters;
-use octoarm_env::{EpisodeConfig, TargetName};
+use octoarm_env::{EpisodeConfig, Swing, TargetName};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
@@ -23,11 +23,6 @@ const FEW: usize = 16;
 const MOST_ROWS: usize = 1 << 16;
 /// Compartments of the arm that costs are counted in.
 const USUAL_COMPARTMENTS: f64 = 20.0;
-/// Control periods for which an arm is swung along a target, beside 5 s of them.
-const SWING_PERIODS: f64 = 256.0;
-/// Time in which it comes to swing \[s\].
-const SWING_TIME: f64 = 5.0;
-
 /// A world as it was asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct WorldSettings {
@@ -164,7 +159,7 @@ impl WorldSettings {
         }
         let weight = weight(&config);
         let period = f64::from(config.physics_steps());
-        let swing = (SWING_TIME / config.control_period + SWING_PERIODS) * period;
+        let swing = Swing::physics_steps(&config);
         for (what, steps) in [
             ("a step of this world", period * num_envs.unwrap_or(1) as f64),
             ("the swing that its episodes begin from", swing),
@@ -327,7 +322,7 @@ mod tests {
                 &[("control_period", scalar(2.0)), ("num_envs", integer(1024))][..],
                 "2048000 physics",
             ),
-            (&[("control_period", scalar(10.0))], "2565000 physics"),
+            (&[("control_period", scalar(10.0))], "2570000 physics"),
             (&[("control_period", scalar(1e-9)), ("arm.timestep", scalar(1e-9))], "the swing"),
             (&[("control_period", scalar(1e-300)), ("arm.timestep", scalar(1e-300))], "the swing"),
             (&[("arm.compartments", integer(60)), ("control_period", scalar(2.0))], "the swing"),
