@@ -9,33 +9,7 @@ use tonic::{Request, Status};
 
 use crate::listener::peer_of;
 use crate::metrics::Metrics;
-use crate::settings::SettingsError;
-
-/// Fewest characters of a token: what is shorter can be guessed.
-const SHORTEST: usize = 16;
-
-/// A secret; it is never shown.
-#[derive(Clone)]
-pub(crate) struct Token(String);
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Token")
-    }
-}
-
-impl Token {
-    /// The token in a text, without the white space around it.
-    pub(crate) fn new(source: &str, text: &str) -> Result<Self, SettingsError> {
-        let text = text.trim();
-        if text.len() < SHORTEST || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
-            return Err(SettingsError::Value(format!(
-                "{source}: a token is at least {SHORTEST} printable ASCII characters without spaces"
-            )));
-        }
-        Ok(Self(text.to_owned()))
-    }
-}
+use crate::settings::Token;
 
 /// Refuses calls without the token.
 #[derive(Clone, Debug)]

@@ -9,6 +9,7 @@ mod arena;
 mod auth;
 mod listener;
 mod metrics;
+mod options;
 mod properties;
 pub mod protocol;
 mod reply;
@@ -21,5 +22,6 @@ mod tensor;
 mod world;
 mod world_settings;
 
+pub use options::Options;
 pub use server::{ServeError, Server};
-pub use settings::{LogFormat, Options, Settings, SettingsError};
+pub use settings::{LogFormat, Settings, SettingsError};

@@ -1,0 +1,115 @@
+//! What a step or a reset brings beside the spring lengths, and the words for it.
+
+use octoarm_arm::DomainError;
+
+use crate::config::EpisodeConfig;
+use crate::reward::RewardTerms;
+
+/// What a step or a reset brought, beside the spring lengths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// The reward of the step; 0 of a reset.
+    pub reward: f64,
+    /// The terms of the reward as the body stands.
+    pub terms: RewardTerms,
+    /// Base angles θ, φ \[degrees\].
+    pub base: [f64; 2],
+    /// The target at this instant \[degrees\].
+    pub target: [f64; 2],
+    /// Distance between the two \[degrees\].
+    pub tracking_error: f64,
+    /// Why the episode ended, if the arm left its domain.
+    pub failure: Option<DomainError>,
+    /// Whether the episode's time is over.
+    pub truncated: bool,
+}
+
+/// How a word of an outcome is read.
+#[derive(Clone, Copy, Debug)]
+pub enum Reading {
+    /// A number.
+    Number(fn(&Outcome) -> f64),
+    /// Two angles \[degrees\].
+    Angles(fn(&Outcome) -> [f64; 2]),
+    /// A flag.
+    Flag(fn(&Outcome) -> bool),
+    /// A text, which is mostly not there.
+    Text(fn(&Outcome) -> Option<String>),
+}
+
+/// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.
+#[derive(Clone, Copy, Debug)]
+pub struct Word {
+    /// The word.
+    pub name: &'static str,
+    /// What it stands for.
+    pub reading: Reading,
+    /// The smallest and the largest value, where there are any, of an episode of these settings whose
+    /// target has the given amplitude \[degrees\].
+    pub bounds: fn(&EpisodeConfig, f64) -> [Option<f64>; 2],
+}
+
+/// Each of the two entries of an action changes by at most 2.
+fn least_change(config: &EpisodeConfig) -> Option<f64> {
+    Some(-8.0 * config.action_change_weight)
+}
+
+const UNBOUNDED: fn(&EpisodeConfig, f64) -> [Option<f64>; 2] = |_, _| [None, None];
+
+impl Outcome {
+    /// Whether the arm left its domain.
+    #[must_use]
+    pub fn terminated(&self) -> bool {
+        self.failure.is_some()
+    }
+
+    /// What Gymnasium gives beside the info.
+    pub const RESULT: [Word; 3] = [
+        Word {
+            name: "reward",
+            reading: Reading::Number(|outcome| outcome.reward),
+            bounds: |config, _| [least_change(config), Some(config.tracking_weight)],
+        },
+        Word { name: "terminated", reading: Reading::Flag(Self::terminated), bounds: UNBOUNDED },
+        Word {
+            name: "truncated",
+            reading: Reading::Flag(|outcome| outcome.truncated),
+            bounds: UNBOUNDED,
+        },
+    ];
+
+    /// What Gymnasium gives in the info.
+    pub const INFO: [Word; 6] = [
+        Word {
+            name: "base_angles",
+            reading: Reading::Angles(|outcome| outcome.base),
+            bounds: UNBOUNDED,
+        },
+        Word {
+            name: "target",
+            reading: Reading::Angles(|outcome| outcome.target),
+            // Between its samples the target is a cubic, with weights that add up to at most 1.25.
+            bounds: |_, amplitude| [Some(-1.25 * amplitude), Some(1.25 * amplitude)],
+        },
+        Word {
+            name: "tracking_error",
+            reading: Reading::Number(|outcome| outcome.tracking_error),
+            bounds: |_, _| [Some(0.0), None],
+        },
+        Word {
+            name: "reward_tracking",
+            reading: Reading::Number(|outcome| outcome.terms.tracking),
+            bounds: |config, _| [Some(0.0), Some(config.tracking_weight)],
+        },
+        Word {
+            name: "reward_action_change",
+            reading: Reading::Number(|outcome| outcome.terms.action_change),
+            bounds: |config, _| [least_change(config), Some(0.0)],
+        },
+        Word {
+            name: "failure",
+            reading: Reading::Text(|outcome| outcome.failure.map(|failure| failure.to_string())),
+            bounds: UNBOUNDED,
+        },
+    ];
+}
