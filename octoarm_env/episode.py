@@ -7,9 +7,17 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["EpisodeCore"]
+__all__ = ["EpisodeCore", "with_numpy_scalars"]
 
 Float = NDArray[np.float64]
+
+
+def with_numpy_scalars(info: dict[str, Any]) -> dict[str, Any]:
+    """Make the info's numbers NumPy's, as its arrays are: some readers ask all for their dtype."""
+    for key, value in info.items():
+        if type(value) is float:
+            info[key] = np.float64(value)
+    return info
 
 
 class EpisodeCore(Protocol):
