@@ -42,7 +42,7 @@ class MadeOnce:
 
     def __setattr__(self, name: str, value: Any) -> None:
         # The constructor keeps some arguments as attributes, before it makes the core.
-        if "_core" in self.__dict__:
+        if "_core" in self.__dict__ and value is not self.__dict__.get(name, self):
             self._check_free(name)
         super().__setattr__(name, value)
 
