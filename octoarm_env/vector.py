@@ -85,8 +85,12 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         threads: threads that share a step, the calling one included; None: as many as the processor
             runs at once.
 
+    Attributes:
+        autoreset_mode: the ``gymnasium.vector.AutoresetMode``, as in ``metadata``.
+
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
+        AttributeError: an argument that is set later; it is what the batch was made with.
 
     ``pickle`` and ``copy.deepcopy`` continue the whole batch exactly where it stands, and so does
     :meth:`restore` of a :meth:`snapshot`.

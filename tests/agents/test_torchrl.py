@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -76,6 +80,21 @@ def test_batch_that_resets_itself() -> None:
         if truncated.all():
             twin.reset()  # as torchrl does where all have ended
     assert ends == 12
+
+
+def test_the_page_s_example_runs_as_printed(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "clients.md").read_text(encoding="utf-8")
+    (code,) = (code for code in re.findall(r"```python\n(.*?)```", page, re.S) if "torchrl" in code)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "torch.Size([8, 1000, 1])" in done.stdout
 
 
 class Lengths(gym.Env):
