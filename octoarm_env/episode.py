@@ -12,12 +12,10 @@ __all__ = ["EpisodeCore", "with_numpy_scalars"]
 Float = NDArray[np.float64]
 
 
-def with_numpy_scalars(info: dict[str, Any]) -> dict[str, Any]:
+def with_numpy_scalars(info: dict[str, Any]) -> None:
     """Make the info's numbers NumPy's, as its arrays are: some readers ask all for their dtype."""
-    for key, value in info.items():
-        if type(value) is float:
-            info[key] = np.float64(value)
-    return info
+    for key in ("tracking_error", "reward_tracking", "reward_action_change"):
+        info[key] = np.float64(info[key])
 
 
 class EpisodeCore(Protocol):
