@@ -268,6 +268,14 @@ def test_attributes(envs):
     assert envs.get_attr("label") == ["all", "some", "all", "some"]
 
 
+def test_setting_an_argument_is_an_error(envs):
+    for name, value in (("target", "lissajous"), ("reward_width", 0.1), ("arm", "inertial")):
+        with pytest.raises(AttributeError, match=f"{name} .*cannot be changed.*{name}=..."):
+            envs.set_attr(name, value)
+        with pytest.raises(AttributeError, match=name):
+            envs.set_attr(name, value, indices=[1])
+
+
 def test_methods(envs):
     envs.seed(0)
     envs.reset()

@@ -47,7 +47,8 @@ class Sb3VecEnv(VecEnv):
     """The environments of a Gymnasium `VectorEnv` for stable-baselines3.
 
     Step by step the same as `DummyVecEnv` over the same single environments. The infos are made
-    anew at each step: numbers are Python's, arrays and observations belong to the caller.
+    anew at each step: floats are NumPy's, other numbers Python's, arrays and observations belong
+    to the caller.
 
     Where the vector environment has its single environments in a list `envs`, attributes and
     methods are looked up there. Otherwise its own `call`, `call_at`, `get_attr` and `set_attr` are
@@ -293,6 +294,7 @@ def _column(values: Any, count: int) -> list[Any]:
     if isinstance(values, dict):
         return _rows(values, count)
     if values.ndim == 1:
-        column: list[Any] = values.tolist()
+        # Floating-point numbers stay NumPy's, as the single environments give them.
+        column: list[Any] = list(values) if values.dtype.kind == "f" else values.tolist()
         return column
     return list(values.copy())
