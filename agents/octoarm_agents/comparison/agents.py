@@ -14,13 +14,13 @@ from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
 from octoarm_agents.environment import TARGETS
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.policies.evaluation import TRIVIAL
 
 __all__ = ["AGENTS", "NETWORKS", "TRAINED", "TRIVIAL", "Cell", "make_agent"]
 
 READOUTS = ("readout_pinv", "readout_ridge")
 NETWORKS = ("ppo", "sac", "tqc", "recurrent_ppo")
 TRAINED = (*READOUTS, "linear_search", *NETWORKS)
-TRIVIAL = ("hold", "clock")
 AGENTS = (*TRAINED, *TRIVIAL)
 """In the order of the tables."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.environment import make_vector_env
 from octoarm_agents.policies import Policy, load_policy
-from octoarm_agents.policies.evaluation import Trivial, acting
+from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
 from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv
@@ -112,8 +112,8 @@ def measure_agent(
     chosen: Policy | Trivial
     if policy is not None:
         chosen = load_policy(policy, settings=settings)
-    elif agent in ("hold", "clock"):
-        chosen = agent  # type: ignore[assignment]
+    elif agent in TRIVIAL:
+        chosen = agent
     else:
         raise ValueError(f"agent = {agent!r} needs the file of its policy")
     test = _Test(chosen, parameters, settings, given)

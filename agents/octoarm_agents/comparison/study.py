@@ -466,6 +466,7 @@ def _ship(
             }
         )
     protocol = comparison.protocol
+    folder.mkdir(parents=True, exist_ok=True)
     write_json(
         folder / "trained.json",
         {

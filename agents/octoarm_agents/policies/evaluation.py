@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 
 from octoarm_agents.environment import make_vector_env
-from octoarm_agents.policies.loading import Policy
+from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
-__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "Trivial", "acting", "evaluate_policy"]
+__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
 
 JUDGING_SEED = 20_000
 """First seed of the episodes that choose the best policy of a training; neither trained nor
@@ -24,6 +24,9 @@ JUDGED_EPISODES = 16
 
 Trivial = Literal["hold", "clock"]
 """Agents by name: the base held still, and the clock that knows the target."""
+
+TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
+"""All of these."""
 
 
 def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Acting:
@@ -43,7 +46,7 @@ def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any])
 
 def evaluate_policy(
     policy: Acting | Trivial,
-    home: Policy,
+    home: Home,
     *,
     episodes: int = 32,
     steps: int = 500,
@@ -57,7 +60,7 @@ def evaluate_policy(
 
     Args:
         policy: the agent, or ``"hold"`` or ``"clock"``.
-        home: an agent whose environment is used; mostly `policy` itself.
+        home: whose body and environment are used; mostly `policy` itself.
         episodes: side by side.
         steps: of each.
         seed: of the first; episode i has seed + i.
