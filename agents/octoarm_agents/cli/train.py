@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import need_extra, number_between, output_folder, read_body
+from octoarm_agents.progress import progress_bar
 
 if TYPE_CHECKING:
     from octoarm_agents.rl import Training
@@ -148,13 +149,10 @@ def train(
 
 
 def _train(training: Training, folder: Path, resume: bool, tensorboard: bool) -> dict[str, Any]:
-    from tqdm import tqdm
-
     from octoarm_agents.rl import train as run
 
-    with tqdm(
-        total=training.steps, unit="step", unit_scale=True, file=sys.stderr, disable=None
-    ) as bar:
+    name = f"{training.algorithm}, {training.target}"
+    with progress_bar(training.steps, name, unit="step", unit_scale=True) as bar:
 
         def progress(done: int, value: float) -> None:
             bar.update(min(done, training.steps) - bar.n)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import shutil
 import statistics
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -40,6 +39,7 @@ from octoarm_agents.files import write_json
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import acting
+from octoarm_agents.progress import progress_bar
 from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["Comparison", "compare"]
@@ -97,7 +97,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Args:
         comparison: what to compare.
         out: folder.
-        progress: show bars on standard error; None: if that is a terminal.
+        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
 
     Returns:
         What ``compare.json`` holds.
@@ -183,15 +183,9 @@ def _train_all(
     cells: Sequence[Cell], jobs: int, progress: bool | None
 ) -> dict[Cell, dict[str, Any]]:
     from joblib import Parallel, delayed
-    from tqdm import tqdm
 
     summaries: dict[Cell, dict[str, Any]] = {}
-    with tqdm(
-        total=len(cells),
-        desc="trainings",
-        file=sys.stderr,
-        disable=None if progress is None else not progress,
-    ) as bar:
+    with progress_bar(len(cells), "trainings", shown=progress) as bar:
         run = Parallel(n_jobs=min(jobs, max(len(cells), 1)), return_as="generator_unordered")
         for cell, summary in run(delayed(_make)(cell) for cell in cells):
             summaries[cell] = summary

@@ -44,7 +44,7 @@ class Context:
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
-        progress: show bars on standard error; None: if that is a terminal.
+        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
         fresh: compute every trial anew, even if it is stored.
     """
 
