@@ -42,7 +42,7 @@ def progress_bar(
         description: what that is.
         unit: of `total`, shown in the bar.
         initial: what has been done already.
-        shown: False: nothing is shown; None or True: as said above.
+        shown: None: as said above; False: nothing; True: a bar, whatever standard error is.
         **options: further ones of `tqdm.tqdm`.
 
     Yields:
@@ -51,12 +51,11 @@ def progress_bar(
     from tqdm import tqdm
 
     stream = sys.stderr
-    terminal = stream is not None and stream.isatty()
     options |= {"total": total, "desc": description, "unit": unit, "initial": initial}
     if shown is False or stream is None:
         with tqdm(**options, disable=True) as bar:
             yield bar
-    elif terminal:
+    elif shown or stream.isatty():
         with tqdm(**options, file=stream, leave=False) as bar:
             yield bar
     else:

@@ -61,7 +61,7 @@ def search_bodies(
         noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
-        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         The evaluations of these searches, each ``search`` (digest of all that it depends on),

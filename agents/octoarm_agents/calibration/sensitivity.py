@@ -171,7 +171,7 @@ def measure_sensitivity(
         amplitudes: R of the teachers [degrees].
         noise_seeds: trainings of each limit cycle; 0: none.
         jobs: processes; the results do not depend on it.
-        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         What ``sensitivity.json`` holds.

@@ -97,7 +97,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Args:
         comparison: what to compare.
         out: folder.
-        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         What ``compare.json`` holds.

@@ -44,7 +44,7 @@ class Context:
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
-        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
         fresh: compute every trial anew, even if it is stored.
     """
 

@@ -57,7 +57,7 @@ def run_trials(
             trials it is called with.
         jobs: processes.
         fresh: compute every trial anew, whatever `folder` holds.
-        progress: False: show nothing; else on standard error, see `octoarm_agents.progress`.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
         description: of the bar.
 
     Returns:
