@@ -163,8 +163,8 @@ def test_only_the_length_may_differ(tmp_path: Path) -> None:
         train(longer, tmp_path, resume=True)
     with pytest.raises(ValueError, match="another training: seed is 1 there and 2 here"):
         train(replace(longer, seed=2), tmp_path, resume=True, extend=True)
+    other = steady("ppo", steps=128, evaluations=2)
     with pytest.raises(ValueError, match="evaluations is 1 there and 2 here"):
-        other = steady("ppo", steps=128, evaluations=2)
         train(other, tmp_path, resume=True, extend=True)
     with pytest.raises(ValueError, match="extend = True: expected resume"):
         train(longer, tmp_path, extend=True)
