@@ -24,6 +24,7 @@ from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
 from octoarm_agents.experiments.trials import code_digest, share_out
 from octoarm_agents.machine import package_versions
 from octoarm_agents.progress import progress_bar
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters
 
 __all__ = ["POPULATION", "search_bodies"]
@@ -74,15 +75,10 @@ def search_bodies(
     """
     from joblib import Parallel
 
-    for name, value, low in (
-        ("evaluations", evaluations, 1),
-        ("noise_seeds", noise_seeds, 0),
-        ("seed", seed, 0),
-        ("jobs", jobs, 1),
-        ("spaces", len(spaces), 1),
-    ):
-        if value < low:
-            raise ValueError(f"{name} = {value}: expected at least {low}")
+    evaluations, jobs = whole_number("evaluations", evaluations, 1), whole_number("jobs", jobs, 1)
+    noise_seeds, seed = whole_number("noise_seeds", noise_seeds), whole_number("seed", seed)
+    if not spaces:
+        raise ValueError("spaces is empty: expected at least one")
     if any(space.base != spaces[0].base for space in spaces):
         raise ValueError("spaces: expected the same base in each")
     judge = {

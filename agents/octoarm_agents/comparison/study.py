@@ -40,6 +40,7 @@ from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import acting
 from octoarm_agents.progress import progress_bar
+from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["Comparison", "compare"]
@@ -83,9 +84,7 @@ class Comparison:
             unknown = [each for each in given if each not in known]
             if unknown or not given:
                 raise ValueError(f"{name} = {given}: expected some of {known}")
-        for name, low in (("seeds", 1), ("jobs", 1), ("readout_map", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least {low}")
+        whole_fields(self, seeds=1, jobs=1, readout_map=0)
 
 
 def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) -> dict[str, Any]:

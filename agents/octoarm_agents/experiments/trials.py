@@ -16,6 +16,7 @@ from octoarm_agents.files import write_json
 from octoarm_agents.machine import package_versions
 from octoarm_agents.progress import progress_bar
 from octoarm_agents.reservoir.recording import LANES
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, _core
 
 __all__ = ["code_digest", "run_trials", "share_out"]
@@ -68,8 +69,7 @@ def run_trials(
     """
     from joblib import Parallel, delayed
 
-    if jobs < 1:
-        raise ValueError(f"jobs = {jobs}: expected at least 1")
+    jobs = whole_number("jobs", jobs, 1)
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
     files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]

@@ -11,6 +11,7 @@ from octoarm_agents.environment import make_vector_env
 from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
 __all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
@@ -75,6 +76,7 @@ def evaluate_policy(
     Raises:
         ValueError: numbers out of range, or a body with another number of springs.
     """
+    episodes, steps = whole_number("episodes", episodes, 1), whole_number("steps", steps, 1)
     envs = make_vector_env(
         episodes, body or home.parameters, home.settings, steps=steps, threads=threads
     )

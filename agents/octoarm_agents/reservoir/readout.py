@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, check_X_y, validate_data
 
+from octoarm_agents.whole import whole_number
+
 __all__ = ["Readout"]
 
 Float = NDArray[np.float64]
@@ -193,9 +195,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         _check_number("noise", self.noise, "a number of metres, finite and not negative")
         if self.tolerance is not None:
             _check_number("tolerance", self.tolerance, "None or a number in [0, 1)", below=1.0)
-        whole = isinstance(self.washout, int | np.integer) and not isinstance(self.washout, bool)
-        if not whole or self.washout < 0:
-            raise ValueError(f"washout = {self.washout!r}: expected a whole number of rows >= 0")
+        whole_number("washout", self.washout)
 
     def _validate(self, lengths: ArrayLike, targets: ArrayLike) -> tuple[Float, Float]:
         """Both as finite numbers with as many rows; notes the number of springs."""

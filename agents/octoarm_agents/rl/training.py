@@ -28,6 +28,7 @@ from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
+from octoarm_agents.whole import whole_number
 
 __all__ = ["CHECKPOINT", "SUMMARY", "Training", "train"]
 
@@ -86,19 +87,14 @@ class Training:
         given = hyperparameters or Hyperparameters.load(algorithm)
         steps = given.steps if steps is None else steps
         num_envs = given.num_envs if num_envs is None else num_envs
-        least = {"steps": 1, "num_envs": 1, "evaluations": 1, "episodes": 1, "seed": 0}
-        values = (steps, num_envs, evaluations, episodes, seed)
-        for (name, low), value in zip(least.items(), values, strict=True):
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise ValueError(f"{name} = {value!r}: expected a whole number, at least {low}")
         return cls(
             algorithm,
             target,
-            steps,
-            seed,
-            num_envs,
-            evaluations,
-            episodes,
+            whole_number("steps", steps, 1),
+            whole_number("seed", seed),
+            whole_number("num_envs", num_envs, 1),
+            whole_number("evaluations", evaluations, 1),
+            whole_number("episodes", episodes, 1),
             dict(env or {}),
             given.entries(),
         )
