@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import inspect
+from collections.abc import Mapping
 from typing import Any, Literal, SupportsFloat
 
 import gymnasium as gym
@@ -12,18 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed
-from octoarm_env.episode import EpisodeCore
+from octoarm_env.episode import EpisodeCore, with_numpy_scalars
 from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
-from octoarm_env.settings import episode_settings, phase_option
+from octoarm_env.settings import MadeOnce, episode_settings, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
 
 
-class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
+class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     r"""An octopus-like soft arm swings in water; only its base is driven, only its springs are seen.
 
     ## Description
@@ -93,9 +95,9 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     |------------------------|----------------|-------------------------------------------|
     | `base_angles`          | float64 (2,)   | actual θ, φ [degrees]                      |
     | `target`               | float64 (2,)   | target θ, φ at this instant [degrees]      |
-    | `tracking_error`       | float          | distance between the two [degrees]         |
-    | `reward_tracking`      | float          | see Rewards                                |
-    | `reward_action_change` | float          | see Rewards                                |
+    | `tracking_error`       | float64        | distance between the two [degrees]         |
+    | `reward_tracking`      | float64        | see Rewards                                |
+    | `reward_action_change` | float64        | see Rewards                                |
     | `failure`              | str            | only on termination                        |
 
     ## Arguments
@@ -113,8 +115,12 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
     | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering                |
     | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
     | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
-    | `camera`               | `None`        | a `rendering.Camera`, or `"perspective"` (default), `"front"`, `"side"`, `"top"`, `"base"` |
+    | `camera`               | `None`        | a `rendering.Camera`, a mapping of its fields, or `"perspective"` (default), `"front"`, `"side"`, `"top"`, `"base"` |
     | `overlay`              | `True`        | figures, phase portrait and strains in the picture; they show target and base angles, so switch them off for an agent that sees |
+
+    Lists and mappings of any kind are taken, those of OmegaConf and Hydra too. `spec` holds all arguments
+    as JSON can: `gym.make(EnvSpec.from_json(env.spec.to_json()))` is the same environment again. They
+    cannot be changed in an environment that is made; assigning one is an AttributeError.
 
     Wrong arguments raise a ValueError or TypeError that names the argument, its value and its range.
     So does an action that is not two finite numbers in [-1, 1]; the episode is then unchanged
@@ -153,9 +159,10 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         render_mode: Literal["human", "rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
-        camera: Camera | str | None = None,
+        camera: Camera | Mapping[str, Any] | str | None = None,
         overlay: bool = True,
     ) -> None:
+        self.render_mode = render_mode
         settings = episode_settings(
             target,
             amplitude,
@@ -168,7 +175,6 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             action_change_weight,
         )
         self._core = self._episode(settings)
-        self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
         self._pictures = Pictures([settings], render_mode, modes, width, height, camera, overlay)
@@ -178,6 +184,20 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
         count = self._core.observation_len
         self.observation_space = spaces.Box(low, high, (count,), np.float64)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
+    _remedy = 'gym.make("OctoArm-v0", {}=...)'
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute of your own, as every wrapper and vector environment does it.
+
+        Raises:
+            AttributeError: the name of an argument, which only another environment takes.
+        """
+        if not hasattr(self, name):
+            # A wrapper would keep it for itself, without effect.
+            self._check_free(name)
+        return super().set_wrapper_attr(name, value, force=force)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -202,6 +222,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True
         observation, info = self._core.reset(phase)
+        with_numpy_scalars(info)
         if self._history is not None:
             self._history.begin(info)
             self._show(self._history)
@@ -223,6 +244,7 @@ class OctoArmEnv(gym.Env[Float, NDArray[np.float32]]):
                 before `reset` or after the end of the episode; nothing is changed then.
         """
         observation, reward, terminated, info = self._core.step(action)
+        with_numpy_scalars(info)
         if self._history is not None:
             self._history.add(info, reward)
             self._show(self._history)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import json
 import math
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 
@@ -19,6 +20,27 @@ _DEFAULTS = _PRESETS["nakajima2013"]
 
 #: Names that :meth:`ArmParameters.preset` takes.
 PRESETS = tuple(_PRESETS)
+
+
+def plain(value: Any) -> Any:
+    """Give what JSON can write, where there is such: numbers, texts, lists and dictionaries.
+
+    Mappings and sequences of any kind are taken, those of OmegaConf as well, arrays, dataclasses,
+    enumerations and paths; what is none of these is given back.
+    """
+    if isinstance(value, enum.Enum):
+        return plain(value.value)
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if hasattr(value, "tolist"):  # a scalar or an array of NumPy, or of who does like it
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [plain(entry) for entry in value]
+    return value
 
 
 def _default(name: str) -> Any:
@@ -101,10 +123,8 @@ class ArmParameters:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if hasattr(value, "tolist"):  # a NumPy scalar or array
-                value = value.tolist()
-            entries = value if isinstance(value, list | tuple) else [value]
+            value = plain(getattr(self, field.name))
+            entries = value if isinstance(value, list) else [value]
             for entry in entries:
                 if isinstance(entry, float) and not math.isfinite(entry):
                     raise ValueError(f"{field.name} = {value}: all numbers must be finite")

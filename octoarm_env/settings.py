@@ -2,17 +2,62 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from octoarm_env.arguments import number
-from octoarm_env.parameters import ArmParameters
+from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
 
-__all__ = ["episode_settings", "phase_option"]
+__all__ = ["MadeOnce", "episode_settings", "phase_option"]
+
+
+class MadeOnce:
+    """An environment keeps the arguments that it was made with.
+
+    Its `spec` holds them as JSON can, so that an environment is made again from the text of one.
+    """
+
+    _fixed: ClassVar[frozenset[str]] = frozenset()
+    """Names of the arguments. Where a class below declares one of them, it may be set."""
+    _remedy: ClassVar[str] = ""
+    """How another environment is made, with {} for an argument."""
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What the environment was made of, as `gym.make` or `gym.make_vec` takes it, or None."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec and self._kept(spec)
+
+    def _kept(self, spec: EnvSpec) -> EnvSpec:
+        """Give the spec that is kept of a given one."""
+        return dataclasses.replace(spec, kwargs=plain(spec.kwargs))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # The constructor keeps some arguments as attributes, before it makes the core.
+        if "_core" in self.__dict__ and value is not self.__dict__.get(name, self):
+            self._check_free(name)
+        super().__setattr__(name, value)
+
+    def _check_free(self, name: str) -> None:
+        """Raise an AttributeError for an argument, unless a class below declares its name."""
+        for kind in type(self).__mro__ if name in self._fixed else ():
+            if "_fixed" in vars(kind):
+                raise AttributeError(
+                    f"{name} of an environment cannot be changed once it is made: make another "
+                    f"one with {self._remedy.format(name)}"
+                )
+            if name in vars(kind):
+                return
 
 
 def episode_settings(
@@ -76,7 +121,7 @@ def _target(value: Any) -> str | list[list[float]]:
                 f"target = {value!r}: expected one of {TARGET_NAMES} or an array (T, 2)"
             )
         return value
-    samples = np.asarray(value)
+    samples = np.asarray(plain(value))
     if samples.dtype.kind not in "fiu":
         raise TypeError(f"target must be a name or an array of numbers, not dtype {samples.dtype}")
     if samples.ndim != 2 or samples.shape[1] != 2:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.core import RenderFrame
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_differing_spaces, batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +24,7 @@ from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import BatchHistory
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
-from octoarm_env.settings import episode_settings, phase_option
+from octoarm_env.settings import MadeOnce, episode_settings, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
@@ -57,7 +59,7 @@ class VectorSnapshot:
     )
 
 
-class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[Any]]):
+class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[Any]]):
     """The native batch of environments ``OctoArm-v0``: what ``gym.make_vec`` makes.
 
     Sub-environment i is an :class:`octoarm_env.OctoArmEnv` with a time limit: spaces, rewards,
@@ -90,8 +92,12 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         threads: threads that share a step, the calling one included; None: as many as the processor
             runs at once.
 
+    Attributes:
+        autoreset_mode: the ``gymnasium.vector.AutoresetMode``, as in ``metadata``.
+
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
+        AttributeError: an argument that is set later; it is what the batch was made with.
 
     ``pickle`` and ``copy.deepcopy`` continue the whole batch exactly where it stands, and so does
     :meth:`restore` of a :meth:`snapshot`.
@@ -114,7 +120,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         render_mode: Literal["rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
-        camera: Camera | str | None = None,
+        camera: Camera | Mapping[str, Any] | str | None = None,
         overlay: bool = True,
         *,
         max_episode_steps: int | None = 500,
@@ -123,15 +129,16 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1)
         self.render_mode = render_mode
-        mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = mode = AutoresetMode(autoreset_mode)
         self.metadata = OctoArmEnv.metadata | {
             "render_modes": ["rgb_array"],
             "autoreset_mode": mode,
         }
         columns = zip(
-            _per_env("target", target, self.num_envs, _is_list_of_targets(target)),
-            _per_env("amplitude", amplitude, self.num_envs, _is_sequence(amplitude)),
-            _per_env("arm", arm, self.num_envs, _is_sequence(arm)),
+            *(
+                _per_env(name, value, self.num_envs, _SEVERAL[name](value))
+                for name, value in (("target", target), ("amplitude", amplitude), ("arm", arm))
+            ),
             strict=True,
         )
         others = (action_range, tracking_weight, reward_width, action_change_weight)
@@ -149,6 +156,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             max_episode_steps = None
         elif max_episode_steps is not None:
             max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, 2**63 - 1)
+        self._max_episode_steps = max_episode_steps
         self._arguments = (settings, max_episode_steps, _AUTORESET[mode], thread_count(threads))
         self._core = _core.EpisodeBatch(*self._arguments)
         self.metadata["render_fps"] = render_fps(control_period)
@@ -158,7 +166,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         self._history: BatchHistory | None = None
         if render_mode is not None:
             self._history = BatchHistory(control_period, self.num_envs)
-        self._mode, self._over = mode, np.zeros(self.num_envs, dtype=np.bool_)
+        self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._attributes: dict[str, list[Any]] = {}
 
@@ -172,6 +180,13 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         )
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
+    _remedy = 'gym.make_vec("OctoArm-v0", ..., {}=...)'
+
+    def _kept(self, spec: EnvSpec) -> EnvSpec:
+        # The limit is an argument here, and no wrapper's.
+        return dataclasses.replace(super()._kept(spec), max_episode_steps=self._max_episode_steps)
 
     def reset(
         self,
@@ -329,13 +344,13 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             "np_random_seed": lambda: self.np_random_seed,
             "orbit": lambda: core.orbit_tables,
             "period": core.periods.tolist,
+            "spec": self._single_specs,
         }
         shared: dict[str, Any] = {
             "action_space": self.single_action_space,
             "metadata": OctoArmEnv.metadata,
             "observation_space": self.single_observation_space,
             "render_mode": self.render_mode,
-            "spec": self.spec,
         }
         if name in each:
             return tuple(each[name]())
@@ -347,10 +362,13 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         """Give every environment an attribute of your own: one value for all, or a list of N.
 
         Raises:
-            AttributeError: an attribute that cannot be changed.
+            AttributeError: an attribute that environments have themselves, such as an argument of
+                theirs: it would be without effect.
             ValueError: a list of another length.
         """
-        if name not in self._attributes and hasattr(OctoArmEnv, name):
+        self._check_free(name)
+        own = name in ("action_space", "observation_space") or hasattr(OctoArmEnv, name)
+        if own or name.startswith("_"):
             raise AttributeError(f"{name} of OctoArm-v0 environments cannot be changed")
         if not isinstance(values, list | tuple):
             values = [values] * self.num_envs
@@ -380,6 +398,28 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
         """Let go of what drew."""
         self._pictures.close()
 
+    def _single_specs(self) -> list[EnvSpec | None]:
+        """What `gym.make` makes each environment of."""
+        spec, count = self.spec, self.num_envs
+        if spec is None:
+            return [None] * count
+        shared = {
+            name: value
+            for name, value in spec.kwargs.items()
+            if name in inspect.signature(OctoArmEnv).parameters
+        }
+        columns = {
+            name: _per_env(name, value, count, _SEVERAL[name](value))
+            for name, value in shared.items()
+            if name in _SEVERAL
+        }
+        return [
+            dataclasses.replace(
+                spec, kwargs=shared | {name: column[index] for name, column in columns.items()}
+            )
+            for index in range(count)
+        ]
+
     def _frame(self, history: BatchHistory, index: int) -> NDArray[np.uint8]:
         def task() -> tuple[Float, float]:
             return self._core.orbit_tables[index], self._core.action_ranges[index].item()
@@ -408,7 +448,7 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
             AutoresetMode.NEXT_STEP: self._over,
             AutoresetMode.SAME_STEP: over,
             AutoresetMode.DISABLED: np.zeros_like(over),
-        }[self._mode]
+        }[self.autoreset_mode]
         history.add(infos, rewards, begun)
         self._over = over
 
@@ -454,14 +494,26 @@ class OctoArmVectorEnv(gym.vector.VectorEnv[Float, NDArray[np.float32], NDArray[
 
 
 def _is_sequence(value: Any) -> bool:
-    return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str)
 
 
 def _is_list_of_targets(target: Any) -> bool:
     """Whether this is a sequence of targets; a (T, 2) nesting of numbers is one target."""
-    return isinstance(target, list | tuple) and any(
-        isinstance(each, str) or np.ndim(each) == 2 for each in target
+    return (
+        _is_sequence(target)
+        and not isinstance(target, np.ndarray)
+        and any(isinstance(each, str) or np.ndim(each) == 2 for each in target)
     )
+
+
+_SEVERAL: dict[str, Callable[[Any], bool]] = {
+    "target": _is_list_of_targets,
+    "amplitude": _is_sequence,
+    "arm": _is_sequence,
+}
+"""Arguments that may be one an environment, and whether a value is."""
 
 
 def _per_env(name: str, value: Any, count: int, several: bool) -> list[Any]:

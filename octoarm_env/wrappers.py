@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +15,10 @@ __all__ = ["Strain", "VectorStrain"]
 Env = gym.Env[Any, Any]
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
 Float32 = NDArray[np.float32]
+if TYPE_CHECKING:
+    _VectorWrapper = gym.vector.VectorWrapper[Any, Any, Any, Any, Any]
+else:  # older Gymnasiums give it no parameters
+    _VectorWrapper = gym.vector.VectorWrapper
 
 _LONGEST = 3.0
 """Upper bound of an observation, in rest lengths l_0."""
@@ -57,20 +61,20 @@ class Strain(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorA
         return _strain(observation, self._rest, self._scale)
 
 
-class VectorStrain(gym.vector.VectorObservationWrapper[Any, Any, Any, Any]):
+class VectorStrain(_VectorWrapper):
     """The :class:`Strain` of every environment of a vector environment, each with its own l_0.
 
     Args:
-        env: a vector environment of ``OctoArm-v0`` whose observations are still the lengths. As
-            with all of Gymnasium's observation wrappers its autoreset mode is NEXT_STEP or
-            DISABLED.
+        env: a vector environment of ``OctoArm-v0`` whose observations are still the lengths. In the
+            autoreset mode SAME_STEP the last observations in the infos, ``final_obs``, are strains
+            too.
         scale: factor, above 0; the default gives strains in percent.
 
     Observations are float32, (N, 80).
 
     Raises:
         TypeError: observations that are not spring lengths.
-        ValueError: a scale that is not a positive number, or the autoreset mode SAME_STEP.
+        ValueError: a scale that is not a positive number.
     """
 
     def __init__(self, env: VectorEnv, scale: float = 100.0) -> None:
@@ -82,9 +86,27 @@ class VectorStrain(gym.vector.VectorObservationWrapper[Any, Any, Any, Any]):
             self.single_observation_space, env.num_envs
         )
 
-    def observations(self, observations: Any) -> Float32:
-        """Turn lengths (N, 80) [m] into strains."""
-        return _strain(observations, self._rest, self._scale)
+    @property
+    def autoreset_mode(self) -> gym.vector.AutoresetMode:
+        """What happens when an episode has ended, as torchrl asks for it."""
+        mode: gym.vector.AutoresetMode = self.metadata["autoreset_mode"]
+        return mode
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32, dict[str, Any]]:
+        """Begin episodes, as the environment inside does it."""
+        lengths, infos = self.env.reset(seed=seed, options=options)
+        return _strain(lengths, self._rest, self._scale), infos
+
+    def step(self, actions: Any) -> tuple[Float32, Any, Any, Any, dict[str, Any]]:
+        """Step, as the environment inside does it."""
+        lengths, *others, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            last = infos["final_obs"]
+            for index in np.flatnonzero(infos["_final_obs"]):
+                last[index] = _strain(last[index], self._rest[index], self._scale)
+        return _strain(lengths, self._rest, self._scale), *others, infos
 
 
 def _strain(lengths: Any, rest: NDArray[np.float64], scale: float) -> Float32:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import json
 import pickle
+import re
+from collections import UserDict, UserList
+from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_checker import data_equivalence as equivalent
 from gymnasium.wrappers import RescaleAction
 
 import octoarm_env
 from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy, _core
+from octoarm_env.rendering.camera import Camera
 
 TARGETS = ["quadratic", "van_der_pol", "lissajous"]
 
@@ -342,10 +349,92 @@ def test_defaults_are_those_of_the_episode_itself() -> None:
 
 
 def test_the_docstring_tells_every_argument() -> None:
-    import inspect
-
     text = inspect.getdoc(OctoArmEnv) or ""
     for name in inspect.signature(OctoArmEnv.__init__).parameters:
         if name != "self":
             assert f"| `{name}`" in text
     assert octoarm_env.__version__.count(".") == 2
+
+
+def test_setting_an_argument_is_an_error_that_names_the_remedy() -> None:
+    """It was accepted and changed nothing."""
+    env = gym.make("OctoArm-v0")
+    for name in inspect.signature(OctoArmEnv).parameters:
+        remedy = re.escape(f'gym.make("OctoArm-v0", {name}=...)')
+        with pytest.raises(AttributeError, match=f"{name} .*cannot be changed.*{remedy}"):
+            setattr(env.unwrapped, name, "other")
+        # As vector environments and adapters set attributes, through every wrapper.
+        with pytest.raises(AttributeError, match=f"{name}.* (cannot be changed|has no setter)"):
+            env.set_wrapper_attr(name, "other")
+    env.unwrapped.label = "own"
+    env.set_wrapper_attr("label", "other")
+    assert env.unwrapped.label == "other"
+
+
+def test_a_class_below_may_declare_an_argument_s_name() -> None:
+    class Own(OctoArmEnv):
+        arm: str | None = None
+
+        def __init__(self, **options: Any) -> None:
+            super().__init__(**options)
+            self.arm, self.note = "own", 1
+
+    env = Own()
+    assert (env.arm, env.note) == ("own", 1)
+    with pytest.raises(AttributeError, match="target of an environment cannot be changed"):
+        env.target = "lissajous"
+    copied = pickle.loads(pickle.dumps(OctoArmEnv(render_mode="rgb_array")))
+    assert copied.render_mode == "rgb_array"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"arm": ArmParameters(arm_density=1042.0, gravity=(0.0, 1.0, 9.0))},
+        {"arm": {"gravity": np.array([0.0, 1.0, 9.0])}},
+        {"target": np.array([[0.0, 1], [1, 0], [0, -1], [-1, 0.1]])},
+        {"target": ((0, 1), (1, 0), (0, -1), (-1, 0))},
+        {"camera": Camera(zoom=2.0), "overlay": np.bool_(False), "width": np.int64(64)},
+        {"amplitude": np.float32(9.1), "reward_width": np.float64(0.1)},
+    ],
+)
+def test_arguments_survive_json(options: dict[str, Any]) -> None:
+    env = gym.make("OctoArm-v0", max_episode_steps=7, **options)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert again.unwrapped._core.config == env.unwrapped._core.config
+    assert again.unwrapped._pictures._camera == env.unwrapped._pictures._camera
+
+
+def test_a_body_s_file_survives_json(tmp_path: Path) -> None:
+    ArmParameters(arm_density=1042.0).to_json(tmp_path / "arm.json")
+    env = gym.make("OctoArm-v0", arm=tmp_path / "arm.json")
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped._core.config == env.unwrapped._core.config
+
+
+def test_sequences_and_mappings_of_any_kind() -> None:
+    """Such as those of OmegaConf, which are no lists and dictionaries."""
+    rows = [[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.1]]
+    env = gym.make(
+        "OctoArm-v0",
+        target=UserList(UserList(row) for row in rows),
+        arm=UserDict(gravity=UserList([0, 0, 9.0])),
+        camera=UserDict(zoom=2.0),
+    )
+    plain = OctoArmEnv(target=rows, arm=ArmParameters(gravity=(0, 0, 9.0)))
+    assert env.unwrapped._core.config == plain._core.config
+    with pytest.raises(ValueError, match=r"camera has unknown fields \['zom'\]"):
+        OctoArmEnv(camera={"zom": 2.0})
+    with pytest.raises(ValueError, match="zoom = 99"):
+        OctoArmEnv(camera={"zoom": 99})
+
+
+def test_numbers_in_the_info_are_numpy_s() -> None:
+    """Readers of infos, torchrl's for one, ask every entry for its dtype."""
+    env = gym.make("OctoArm-v0")
+    for info in (env.reset(seed=0)[1], env.step(np.zeros(2, np.float32))[4]):
+        assert {name: value.dtype for name, value in info.items()} == dict.fromkeys(
+            ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
+            np.dtype(np.float64),
+        )

@@ -5,10 +5,13 @@ from __future__ import annotations
 import copy
 import gc
 import hashlib
+import inspect
 import os
 import pickle
+import re
 import subprocess
 import sys
+from collections import UserDict, UserList
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +19,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence as equivalent
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 import octoarm_env
 from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv, TeacherPolicy
+from octoarm_env.rendering.camera import Camera
 from octoarm_env.testing import check_vector_env
 
 MODES = list(AutoresetMode)
@@ -441,18 +446,115 @@ def test_attributes_and_calls() -> None:
     assert equivalent(envs.call_at([2], "teacher_action"), loop.call("teacher_action"), exact=True)
     with pytest.warns(UserWarning, match="render_mode is None"):
         assert envs.call("render") == (None,) * 3
-    assert envs.get_attr("spec")[0].id == "OctoArm-v0"
     envs.set_attr("label", ["a", "b", "c"])
     assert envs.get_attr("label") == ("a", "b", "c")
     with pytest.raises(AttributeError, match="no attribute 'colour'"):
         envs.get_attr("colour")
-    with pytest.raises(AttributeError, match="amplitude.*cannot be changed"):
-        envs.set_attr("amplitude", 5.0)
     with pytest.raises(ValueError, match="values has 2 entries, expected 3"):
         envs.set_attr("label", [1, 2])
     assert "num_envs=3" in repr(envs)
     envs.close()
     envs.close()
+
+
+OWN = {
+    "target": "lissajous",
+    "amplitude": [5.0, 6.0],
+    "control_period": 0.02,
+    "actuator": "servo",
+    "arm": {"arm_density": 1042.0},
+    "action_range": 5.0,
+    "tracking_weight": 2.0,
+    "reward_width": 0.1,
+    "action_change_weight": 0.0,
+    "render_mode": "rgb_array",
+    "width": 32,
+    "height": 32,
+    "camera": "top",
+    "overlay": False,
+    "max_episode_steps": 7,
+    "autoreset_mode": AutoresetMode.DISABLED,
+    "threads": 2,
+    "num_envs": 3,
+}
+"""A value for every argument that is not the default's."""
+
+
+def test_setting_an_argument_is_an_error_that_names_the_remedy() -> None:
+    """It was accepted, confirmed by get_attr, and changed nothing."""
+    envs, loop = native(2), singles(2, MODES[0])
+    assert set(OWN) == set(inspect.signature(OctoArmVectorEnv).parameters)
+    for name, value in OWN.items():
+        remedy = re.escape(f'gym.make_vec("OctoArm-v0", ..., {name}=...)')
+        for values in (value, [value] * 2):
+            with pytest.raises(AttributeError, match=f"{name} .*cannot be changed.*{remedy}"):
+                envs.set_attr(name, values)
+        with pytest.raises(AttributeError, match=f"{name} .*cannot be changed.*{remedy}"):
+            setattr(envs, name, value)
+        if name in inspect.signature(OctoArmEnv).parameters:
+            with pytest.raises(AttributeError, match=f"{name}.* (cannot be changed|has no setter)"):
+                loop.set_attr(name, [value] * 2)
+    # What only looks like the environments' own, such as the attribute of Gymnasium's time limit.
+    for name in ("observation_space", "action_space", "_max_episode_steps", "reset", "spec"):
+        with pytest.raises(AttributeError, match=f"{name} .*cannot be changed"):
+            envs.set_attr(name, None)
+
+
+def test_specs_are_those_of_the_single_environments() -> None:
+    targets = ["quadratic", np.eye(4)[:, :2].tolist(), "lissajous"]
+    arms = [ArmParameters(arm_density=1042.0), "nakajima2013", {"arm_density": 1000.0}]
+    shared = {"max_episode_steps": 7, "camera": Camera(zoom=2.0), "reward_width": np.float32(0.2)}
+    envs = native(
+        3, target=targets, arm=arms, amplitude=np.full(3, 5.0), autoreset_mode=MODES[1], **shared
+    )
+    found = envs.get_attr("spec")
+    for index, (target, arm) in enumerate(zip(targets, arms, strict=True)):
+        one = gym.make("OctoArm-v0", target=target, arm=arm, amplitude=5.0, **shared)
+        assert found[index] == one.spec
+        assert found[index].max_episode_steps == 7
+    assert envs.spec.max_episode_steps == 7
+    assert native(1, max_episode_steps=-1).get_attr("spec")[0].max_episode_steps is None
+    assert OctoArmVectorEnv(2).get_attr("spec") == (None, None)
+
+
+def test_a_batch_survives_json() -> None:
+    square = np.array([[0.0, 1], [1, 0], [0, -1], [-1, 0]])
+    for options in (
+        {
+            "target": [square, "lissajous"],
+            "arm": [ArmParameters(), ArmParameters(gravity=(0, 0, 9))],
+        },
+        {"target": square, "camera": Camera(zoom=2.0), "arm": ArmParameters(arm_density=1042.0)},
+        {"amplitude": np.array([5.0, 6.0]), "autoreset_mode": MODES[1], "threads": np.int64(1)},
+    ):
+        envs = native(2, **options)
+        again = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()))
+        assert again.spec == envs.spec
+        assert again.autoreset_mode is envs.autoreset_mode
+        assert equivalent(again.reset(seed=1), envs.reset(seed=1), exact=True)
+        action = next(actions(2))
+        assert equivalent(again.step(action), envs.step(action), exact=True)
+
+
+def test_sequences_and_mappings_of_any_kind() -> None:
+    """Such as those of OmegaConf, which are no lists and dictionaries."""
+    square = UserList([UserList([0.0, 1]), UserList([1, 0]), UserList([0, -1]), UserList([-1, 0])])
+    body = UserDict(arm_density=1042.0, gravity=UserList([0, 0, 9.0]))
+    envs = native(
+        2,
+        target=UserList([square, "lissajous"]),
+        arm=UserList([body, "nakajima2013"]),
+        amplitude=UserList([5.0, None]),
+        camera=UserDict(zoom=2.0),
+    )
+    plain = native(
+        2,
+        target=[[list(row) for row in square], "lissajous"],
+        arm=[ArmParameters(arm_density=1042.0, gravity=(0, 0, 9.0)), "nakajima2013"],
+        amplitude=[5.0, None],
+    )
+    assert equivalent(envs.reset(seed=1), plain.reset(seed=1), exact=True)
+    gym.make_vec(EnvSpec.from_json(envs.spec.to_json()))
 
 
 def test_registration() -> None:
@@ -484,7 +586,9 @@ def test_works_under_gymnasium_s_wrappers() -> None:
 
 
 def resident_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf(
+        "SC_PAGE_SIZE"
+    )
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")

@@ -1,13 +1,16 @@
 """Observations as strains: the formula, the bounds, what is refused."""
 
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from octoarm_env import ArmParameters
+from octoarm_env.testing import check_vector_env
 from octoarm_env.wrappers import Strain, VectorStrain
 
 
@@ -59,6 +62,27 @@ def test_what_cannot_be_is_refused() -> None:
         Strain(Strain(env))
     with pytest.raises(TypeError, match="expected spring lengths"):
         Strain(gym.make("CartPole-v1"))
-    same_step = gym.make_vec("OctoArm-v0", num_envs=1, autoreset_mode="SameStep")
-    with pytest.raises(ValueError, match="autoreset_mode"):
-        Strain(same_step)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("kind", ["vector_entry_point", "sync"])
+def test_strains_of_a_batch_are_those_of_single_environments(
+    mode: AutoresetMode, kind: str
+) -> None:
+    options = {"max_episode_steps": 7, "amplitude": 5.0}
+    bodies = [ArmParameters(), ArmParameters(rest_length=0.025)]
+    if kind == "sync":
+        make = [partial(gym.make, "OctoArm-v0", arm=body, **options) for body in bodies]
+        envs = SyncVectorEnv(make, autoreset_mode=mode, observation_mode="different")
+    else:
+        envs = gym.make_vec("OctoArm-v0", 2, arm=bodies, autoreset_mode=mode, **options)
+    strains = Strain(envs)
+    assert strains.autoreset_mode is mode
+    check_vector_env(
+        strains,
+        [
+            partial(lambda arm: Strain(gym.make("OctoArm-v0", arm=arm, **options)), b)
+            for b in bodies
+        ],
+        steps=30,
+    )

@@ -34,6 +34,7 @@ from octoarm_agents.reservoir.closed_loop import (
     score_window,
 )
 from octoarm_agents.reservoir.teaching import Teaching, teach
+from octoarm_agents.whole import whole_fields
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
 __all__ = ["FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
@@ -70,8 +71,7 @@ class DemoSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.steps < MINIMUM_STEPS:
-            raise ValueError(f"steps = {self.steps}: expected at least {MINIMUM_STEPS}")
+        whole_fields(self, steps=MINIMUM_STEPS, seed=0)
         if not (self.burst >= 0 and math.isfinite(self.burst)):
             raise ValueError(f"burst = {self.burst}: expected a number of degrees, not negative")
 

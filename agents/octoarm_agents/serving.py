@@ -80,7 +80,7 @@ class ServerProcess:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            text=True,
+            encoding="utf-8",
             env=os.environ | dict(environment or {}),
         )
         assert self.process.stdout is not None

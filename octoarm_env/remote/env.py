@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from functools import cached_property
 from pathlib import Path
@@ -133,7 +134,8 @@ class RemoteOctoArm(OctoArmEnv):
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
     :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
     freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
-    token, and goes on in a world of its own on the same server.
+    token, and goes on in a world of its own on the same server; `spec` holds them too, so that
+    whoever writes it to a file, as Minari does, writes the token.
 
     Args:
         address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``
@@ -166,6 +168,9 @@ class RemoteOctoArm(OctoArmEnv):
     ) -> None:
         self._server = (address, token, certificate, timeout)
         super().__init__(**arguments)
+
+    _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
+    _remedy = 'gym.make("OctoArmRemote-v0", {}=...)'
 
     def _episode(self, settings: str) -> RemoteEpisode:
         address, token, certificate, timeout = self._server

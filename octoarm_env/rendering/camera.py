@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -89,18 +90,26 @@ in "side"."""
 
 
 def find_camera(value: Any) -> Camera:
-    """Give a camera: one by its name, the default for None.
+    """Give a camera: one by its name, or of a mapping of its fields; the default for None.
 
     Raises:
-        ValueError: an unknown name.
-        TypeError: neither a name nor a `Camera`.
+        ValueError: an unknown name or field, or a field outside its range.
+        TypeError: something else.
     """
     if value is None:
         return CAMERAS["perspective"]
     if isinstance(value, Camera):
         return value
+    if isinstance(value, Mapping):
+        unknown = sorted(set(value) - set(_RANGES))
+        if unknown:
+            raise ValueError(f"camera has unknown fields {unknown}; known are {sorted(_RANGES)}")
+        return Camera(**value)
     if not isinstance(value, str):
-        raise TypeError(f"camera = {value!r}: expected a Camera or one of {tuple(CAMERAS)}")
+        raise TypeError(
+            f"camera = {value!r}: expected a Camera, a mapping of its fields, or one of "
+            f"{tuple(CAMERAS)}"
+        )
     if value not in CAMERAS:
         raise ValueError(f"camera = {value!r}: expected a Camera or one of {tuple(CAMERAS)}")
     return CAMERAS[value]

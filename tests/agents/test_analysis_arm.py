@@ -225,7 +225,7 @@ def test_options_out_of_range_are_refused(octoarm, tmp_path, options, message):
         (lambda: Drive(hold=-1), "hold = -1: expected"),
         (lambda: Drive(hold=1e-3).hold_steps(1e-3), "at least two physics steps"),
         (lambda: Drive(axes="phi"), "axes = 'phi': expected"),
-        (lambda: SurveySettings(streams=1), "streams = 1: expected at least 2"),
+        (lambda: SurveySettings(streams=1), "streams = 1: expected a whole number, at least 2"),
         (lambda: SurveySettings(similarity=1.0), "similarity = 1.0: expected a share"),
         (lambda: run_sweep("colour", (1.0,), ArmParameters(), SHORT), "quantity = 'colour'"),
         (lambda: run_sweep("drag", (), ArmParameters(), SHORT), "values: expected at least one"),

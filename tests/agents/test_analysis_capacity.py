@@ -227,7 +227,7 @@ def test_thousands_of_functions(random):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"max_delay": 0}, "max_delay = 0: expected at least 1"),
+        ({"max_delay": 0}, "max_delay = 0: expected a whole number, at least 1"),
         ({"washout": -1}, "washout = -1: expected a number of rows"),
         ({"noise": -1.0}, "noise = -1.0: expected a number"),
         ({"significance": 0.0}, "significance = 0.0: expected a probability"),

@@ -55,9 +55,9 @@ def test_the_exponent_does_not_depend_on_the_size_of_the_difference():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"blocks": 1}, "blocks = 1: expected at least 2"),
-        ({"steps": 5}, "steps = 5: expected at least one for each of 10 blocks"),
-        ({"transient": -1}, "transient = -1: expected a number of steps"),
+        ({"blocks": 1}, "blocks = 1: expected a whole number, at least 2"),
+        ({"steps": 5}, "steps = 5: expected a whole number, at least 10"),
+        ({"transient": -1}, "transient = -1: expected a whole number, at least 0"),
         ({"interval": 0.0}, "interval = 0.0, size = 1e-07: expected positive"),
         ({"step": lambda state, k: 0 * state}, "the trajectories met within step 1"),
     ],

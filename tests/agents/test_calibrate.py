@@ -175,7 +175,7 @@ def test_starts_are_spread_over_the_papers_range():
     assert initial_steps(1) == [500]
     assert initial_steps(3) == [0, 500, INITIAL_STEPS]
     assert initial_steps(5) == [0, 250, 500, 750, INITIAL_STEPS]
-    with pytest.raises(ValueError, match="count = 0: expected at least 1"):
+    with pytest.raises(ValueError, match="trials = 0: expected a whole number, at least 1"):
         initial_steps(0)
 
 
@@ -311,11 +311,11 @@ def test_a_changed_file_is_noticed(tmp_path):
 def test_bad_settings_are_named(tmp_path, setting):
     ((name, value),) = setting.items()
     arguments = {"evaluations": 1, "file": tmp_path / "evaluations.jsonl"} | setting
-    with pytest.raises(ValueError, match=f"{name} = {value}: expected at least"):
+    with pytest.raises(ValueError, match=f"{name} = {value}: expected a whole number, at least"):
         search_bodies(spaces(), **arguments)
     with pytest.raises(ValueError, match="spaces: expected the same base in each"):
         search_bodies([*spaces(), *spaces(base=SLACK)], evaluations=1, file=arguments["file"])
-    with pytest.raises(ValueError, match="spaces = 0: expected at least 1"):
+    with pytest.raises(ValueError, match="spaces is empty: expected at least one"):
         search_bodies([], evaluations=1, file=tmp_path / "evaluations.jsonl")
 
 

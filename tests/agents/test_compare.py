@@ -139,6 +139,17 @@ def test_bad_cells(budget: float, tmp_path: Path) -> None:
         Cell("ppo", "quadratic", 0, budget, tmp_path)
 
 
+def test_trivial_agents_alone(octoarm: Any, tmp_path: Path) -> None:
+    arguments = ("--agents", "hold", "--targets", "lissajous", "--episodes", 1, "--jobs", 1)
+    done = octoarm("compare", *arguments, "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert "hold" in done.output
+    listed = json.loads((tmp_path / "trained" / "trained.json").read_text(encoding="utf-8"))
+    assert listed["agents"] == []
+    assert "| hold |" in (tmp_path / "compare.md").read_text(encoding="utf-8")
+    assert (tmp_path / "returns.png").stat().st_size > 10_000
+
+
 def test_bad_options(octoarm: Any, tmp_path: Path) -> None:
     done = octoarm("compare", "--agents", "ppo,dqn", "--out", tmp_path)
     assert done.exit_code == 2

@@ -116,7 +116,7 @@ class TestTeaching:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            ({"steps": 79}, "steps = 79: expected at least 80"),
+            ({"steps": 79}, "steps = 79: expected a whole number, at least 80"),
             ({"steps": 100.5}, "steps = 100.5"),
             ({"action_noise": 1.5}, "action_noise = 1.5.*0 to 1"),
             ({"action_noise": np.nan}, "action_noise = nan"),

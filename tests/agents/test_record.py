@@ -871,10 +871,10 @@ class TestOptions:
         ("name", "reason"),
         [
             ("no-such-agent.json", "cannot read no-such-agent.json"),
-            ("nobody/quadratic", "expected one of"),
-            ("agent.txt", "expected a file of a readout"),
-            ("hold", "'hold' is not one of hold/quadratic, hold/van_der_pol, hold/lissajous"),
-            ("clock/nowhere", "'clock/nowhere' is not one of clock/quadratic"),
+            ("nobody/quadratic", "neither a file nor one of"),
+            ("agent.txt", "neither a file nor one of"),
+            ("hold", "'hold' is neither a file nor one of"),
+            ("clock/nowhere", "'clock/nowhere' is neither a file nor one of"),
             ("", "expected a file"),
         ],
     )

@@ -200,9 +200,9 @@ def test_other_bodies_can_be_evaluated(readout: ReadoutPolicy) -> None:
     [
         (lambda: Push(-1.0), "size = -1.0"),
         (lambda: Push(float("nan")), "size = nan"),
-        (lambda: Push(1.0, -1), "begin, steps = -1, 20"),
+        (lambda: Push(1.0, -1), "begin = -1: expected a whole number, at least 0"),
         (lambda: Noise(-1.0), "size = -1.0"),
-        (lambda: Noise(1.0, 0, -3), "begin, steps = 0, -3"),
+        (lambda: Noise(1.0, 0, -3), "steps = -3: expected a whole number, at least 0"),
     ],
 )
 def test_bad_disturbances(make, message: str) -> None:

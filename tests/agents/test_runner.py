@@ -326,7 +326,7 @@ def test_a_failure_leaves_no_new_file(tmp_path):
 @pytest.mark.parametrize("setting", [{"trials": 0}, {"seed": -1}, {"jobs": 0}], ids=str)
 def test_bad_settings_are_named(tmp_path, setting):
     ((name, value),) = setting.items()
-    with pytest.raises(ValueError, match=f"{name} = {value}: expected at least"):
+    with pytest.raises(ValueError, match=f"{name} = {value}: expected a whole number, at least"):
         Context(tmp_path, **setting)
 
 

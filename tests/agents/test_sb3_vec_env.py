@@ -268,6 +268,14 @@ def test_attributes(envs):
     assert envs.get_attr("label") == ["all", "some", "all", "some"]
 
 
+def test_setting_an_argument_is_an_error(envs):
+    for name, value in (("target", "lissajous"), ("reward_width", 0.1), ("arm", "inertial")):
+        with pytest.raises(AttributeError, match=f"{name} .*cannot be changed.*{name}=..."):
+            envs.set_attr(name, value)
+        with pytest.raises(AttributeError, match=name):
+            envs.set_attr(name, value, indices=[1])
+
+
 def test_methods(envs):
     envs.seed(0)
     envs.reset()
@@ -348,6 +356,95 @@ def test_the_vector_environment_may_be_wrapped():
     _, rewards, _, _ = envs.step(np.zeros((COUNT, 2), np.float32))
     assert rewards.max() <= 0.5
     assert envs.get_attr("amplitude") == [90.0] * COUNT
+
+
+@pytest.mark.parametrize("vector_env", ["native", "sync"])
+@pytest.mark.parametrize("stats_key", ["episode", "statistics"])
+def test_statistics_of_a_vector_wrapper_are_in_the_info_of_the_step_that_ended(
+    vector_env, stats_key
+):
+    wrapped = gym.wrappers.vector.RecordEpisodeStatistics(
+        VECTOR_ENVS[vector_env](
+            arm="inertial", amplitude=20.0, action_range=300.0, max_episode_steps=9
+        ),
+        stats_key=stats_key,
+    )
+    envs = Sb3VecEnv(wrapped)
+    envs.reset()
+    totals, lengths, ends = np.zeros(COUNT), np.zeros(COUNT, int), []
+    for step in range(18):
+        actions = np.array(envs.env_method("teacher_action"), np.float32)
+        # A jump that no such arm survives, at another step in each environment.
+        actions[np.arange(COUNT) == step] = 1.0
+        _, rewards, dones, infos = envs.step(actions)
+        totals += rewards
+        lengths += 1
+        for index, (done, info) in enumerate(zip(dones, infos, strict=True)):
+            assert (stats_key in info) == done
+            assert stats_key not in envs.reset_infos[index]
+            if done:
+                statistics = info[stats_key]
+                assert set(statistics) == {"r", "l", "t"}
+                assert type(statistics["l"]) is int
+                assert statistics["l"] == lengths[index]
+                # The rewards are in single precision here.
+                assert statistics["r"] == pytest.approx(totals[index], rel=1e-5)
+                ends.append((step, index))
+                totals[index] = lengths[index] = 0
+        assert all("base_angles" in info for info in envs.reset_infos)
+    assert ends == [(start + index, index) for start in (0, 9) for index in range(COUNT)]
+
+
+def test_ppo_hears_of_the_statistics_of_a_vector_wrapper():
+    torch.set_num_threads(1)
+    envs = Sb3VecEnv(gym.wrappers.vector.RecordEpisodeStatistics(native_envs()))
+    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, seed=0)
+    model.learn(128)
+    assert [entry["l"] for entry in model.ep_info_buffer] == [7] * 16
+
+
+def test_what_a_vector_wrapper_adds_belongs_to_the_step():
+    class Counting(gym.vector.VectorWrapper):
+        """Adds infos at resets and at steps; a single environment inside adds some at resets."""
+
+        def reset(self, *, seed=None, options=None):
+            observations, infos = self.env.reset(seed=seed, options=options)
+            self.steps = 0
+            return observations, infos | {"step": np.zeros(COUNT, int)}
+
+        def step(self, actions):
+            *rest, infos = self.env.step(actions)
+            self.steps += 1
+            return *rest, infos | {"step": np.full(COUNT, self.steps)}
+
+    class Drawing(gym.Wrapper):
+        def reset(self, **options):
+            observation, info = self.env.reset(**options)
+            return observation, info | {"drawn": 5}
+
+    fns = [lambda: Drawing(gym.make("OctoArm-v0", max_episode_steps=3))] * COUNT
+    inner = SyncVectorEnv(fns, autoreset_mode=SAME_STEP)
+    # Two wrappers: the one that adds need not be the innermost.
+    envs = Sb3VecEnv(Counting(gym.wrappers.vector.ClipReward(inner, max_reward=0.5)))
+    envs.reset()
+    assert [(info["step"], info["drawn"]) for info in envs.reset_infos] == [(0, 5)] * COUNT
+    for step in range(1, 8):
+        *_, dones, infos = envs.step(np.zeros((COUNT, 2), np.float32))
+        assert dones.tolist() == [step % 3 == 0] * COUNT
+        assert [info["step"] for info in infos] == [step] * COUNT
+        assert not any("drawn" in info for info in infos)
+        assert all(info["drawn"] == 5 for info in envs.reset_infos)
+
+
+@pytest.mark.parametrize("name", ["DictInfoToList", "NumpyToTorch"])
+def test_wrappers_that_turn_arrays_into_something_else_are_refused(name):
+    class Wrapper(gym.vector.VectorWrapper):
+        """Stands in for one: Gymnasium's own may need more packages."""
+
+    converter = type({"NumpyToTorch": "ArrayConversion"}.get(name, name), (Wrapper,), {})
+    envs = gym.wrappers.vector.ClipReward(type(name, (converter,), {})(sync_envs()), max_reward=0.5)
+    with pytest.raises(ValueError, match=f"envs is wrapped in {name}: expected NumPy's arrays"):
+        Sb3VecEnv(envs)
 
 
 def test_made_natively_and_seeded(monkeypatch):

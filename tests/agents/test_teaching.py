@@ -121,9 +121,9 @@ class TestTeaching:
                 {"disturbances": (-1.0, *UNDISTURBED[1:])},
                 "expected 6 numbers of degrees, not negative",
             ),
-            ({"washout": -1}, "washout = -1: expected 0 or more"),
-            ({"steps": 17_999}, "steps = 17999: expected at least 18000"),
-            ({"washout": 19_500}, "steps = 20000: expected at least 20500"),
+            ({"washout": -1}, "washout = -1: expected a whole number, at least 0"),
+            ({"steps": 17_999}, "steps = 17999: expected a whole number, at least 18000"),
+            ({"washout": 19_500}, "steps = 20000: expected a whole number, at least 20500"),
         ],
     )
     def test_what_cannot_be_is_refused(self, change, message):
@@ -179,7 +179,7 @@ class TestExponents:
         np.testing.assert_allclose(first, second, rtol=0.01)
 
     def test_what_cannot_be_is_refused(self, lesson, good):
-        with pytest.raises(ValueError, match="count = 0: expected at least 1"):
+        with pytest.raises(ValueError, match="count = 0: expected a whole number, at least 1"):
             floquet_exponents(lesson.run, good, count=0)
         with pytest.raises(ValueError, match=r"has 20000 steps, begin \+ skip \+ steps = 26000"):
             floquet_exponents(lesson.run, good, steps=20_000)
@@ -220,7 +220,9 @@ class TestTuning:
             assert (result["distance"] is None) or result["steps"] == 12_000
 
     def test_what_cannot_be_is_refused(self):
-        with pytest.raises(ValueError, match="evaluations = 7: expected at least 8"):
+        with pytest.raises(
+            ValueError, match="evaluations = 7: expected a whole number, at least 8"
+        ):
             tune(BODY, GOOD, evaluations=7)
         with pytest.raises(ValueError, match="noise = -1: expected a number of degrees"):
             tune(BODY, GOOD, noise=-1)

@@ -8,6 +8,7 @@ import pickle
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ def returns(summary: dict[str, Any]) -> list[tuple[int, float]]:
 
 KILLED = """
 import os, pickle, signal, sys
+from dataclasses import replace
 from pathlib import Path
 from octoarm_agents.rl import train
 
@@ -96,6 +98,76 @@ def test_killed_before_the_first_evaluation(stop: int, tmp_path: Path) -> None:
     assert (tmp_path / "checkpoint.zip").exists()
     resumed = train(training, tmp_path, resume=True)
     assert returns(resumed) == returns(train(training, tmp_path / "whole"))
+
+
+def steady(algorithm: str, **changes: Any) -> Training:
+    """The same without anything that falls over the training."""
+    training = small(algorithm, **changes)
+    return replace(
+        training,
+        hyperparameters=training.hyperparameters | {"learning_rate": 1e-3, "n_timesteps": 9},
+    )
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_extended_as_if_it_had_been_longer_from_the_beginning(
+    algorithm: str, tmp_path: Path
+) -> None:
+    steps = STEPS[algorithm]
+    whole = train(steady(algorithm), tmp_path / "whole")
+    half = steady(algorithm, steps=steps // 2, evaluations=2)
+    finished = train(half, tmp_path / "part")
+    assert returns(finished) == returns(whole)[:2]
+    extended = train(steady(algorithm), tmp_path / "part", resume=True, extend=True)
+    assert returns(extended) == returns(whole)
+    assert extended["best"]["return"] == whole["best"]["return"]
+    assert extended["training"] == whole["training"]
+    assert extended["extended"] == [
+        {"from_steps": steps // 2, "to_steps": steps, "schedules": []},
+    ]
+    seen = 0.02 + 1e-3 * np.random.default_rng(0).normal(size=(20, 80))
+    for kept in ("final.npz", "best.npz"):
+        first, second = (load_policy(tmp_path / name / kept) for name in ("whole", "part"))
+        np.testing.assert_array_equal(first.predict(seen)[0], second.predict(seen)[0])
+    # It is now a training of so many steps as any other.
+    again = train(steady(algorithm), tmp_path / "part", resume=True)
+    assert again == extended
+    with pytest.raises(ValueError, match=f"steps is {steps} there and {steps // 2} here"):
+        train(half, tmp_path / "part", resume=True, extend=True)
+
+
+def test_an_extension_that_is_killed_goes_on(tmp_path: Path) -> None:
+    whole = train(steady("ppo", steps=2048, evaluations=8), tmp_path / "whole")
+    train_and_kill(steady("ppo"), tmp_path / "part", 600)
+    extended = train(
+        steady("ppo", steps=2048, evaluations=8), tmp_path / "part", resume=True, extend=True
+    )
+    assert returns(extended) == returns(whole)
+    assert load_policy(tmp_path / "part" / "final.npz").training["extended"] == [
+        {"from_steps": 1024, "to_steps": 2048, "schedules": []}
+    ]
+
+
+def test_what_depends_on_the_length_of_a_training_is_named(tmp_path: Path) -> None:
+    train(small("ppo"), tmp_path)
+    with pytest.warns(UserWarning, match=r"learning_rate of ppo falls to zero .* 1,024 .* 2,048"):
+        extended = train(small("ppo", steps=2048), tmp_path, resume=True, extend=True)
+    assert extended["extended"][0]["schedules"] == ["learning_rate"]
+    assert extended["final"]["steps"] == 2048
+
+
+def test_only_the_length_may_differ(tmp_path: Path) -> None:
+    train(steady("ppo", steps=128, evaluations=1), tmp_path)
+    longer = steady("ppo", steps=256, evaluations=1)
+    with pytest.raises(ValueError, match="steps is 128 there and 256 here"):
+        train(longer, tmp_path, resume=True)
+    with pytest.raises(ValueError, match="another training: seed is 1 there and 2 here"):
+        train(replace(longer, seed=2), tmp_path, resume=True, extend=True)
+    other = steady("ppo", steps=128, evaluations=2)
+    with pytest.raises(ValueError, match="evaluations is 1 there and 2 here"):
+        train(other, tmp_path, resume=True, extend=True)
+    with pytest.raises(ValueError, match="extend = True: expected resume"):
+        train(longer, tmp_path, extend=True)
 
 
 def test_the_same_seed_gives_the_same_curve(tmp_path: Path) -> None:
@@ -285,6 +357,11 @@ class TestCommand:
         assert again.exit_code == 2
         assert "holds a training: go on with --resume" in again.output
         assert octoarm(*arguments, "--resume").exit_code == 0
+        arguments[arguments.index(2048)] = 3072
+        with pytest.warns(UserWarning, match="learning_rate of ppo"):
+            longer = octoarm(*arguments, "--resume")
+        assert longer.exit_code == 0, longer.output
+        assert "Trained 3,072 steps" in longer.output
         shown = octoarm(
             "evaluate", tmp_path / "best.npz", "--episodes", 2, "--out", tmp_path / "figures.json"
         )
@@ -314,14 +391,14 @@ class TestCommand:
         ArmParameters(compartments=10).to_json(tmp_path / "short.json")
         done = octoarm("evaluate", tmp_path / "out" / "best.npz", "--arm", tmp_path / "short.json")
         assert done.exit_code == 2
-        assert "(32, 40), expected (80,)" in done.output
+        assert "short.json has 10 compartments" in done.output
 
     def test_bad_policies(self, octoarm: Any, tmp_path: Path) -> None:
         (tmp_path / "bad.npz").write_bytes(b"nothing")
         for name, message in (
             (tmp_path / "missing.npz", "cannot read"),
             (tmp_path / "bad.npz", "not a complete policy file"),
-            ("ppo/square", "agent, target = 'ppo', 'square'"),
+            ("ppo/square", "'ppo/square' is neither a file nor one of"),
         ):
             done = octoarm("evaluate", name)
             assert done.exit_code == 2

@@ -520,8 +520,8 @@ class TestCommand:
         ("name", "reason"),
         [
             ("no-such-agent.json", "cannot read no-such-agent.json"),
-            ("nobody/quadratic", "expected one of"),
-            ("agent.txt", "expected a file of a readout"),
+            ("nobody/quadratic", "neither a file nor one of"),
+            ("agent.txt", "neither a file nor one of"),
         ],
     )
     def test_a_missing_agent_is_named(self, run, name, reason):

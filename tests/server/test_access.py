@@ -192,7 +192,7 @@ def test_a_token_is_not_to_be_seen(locked: ServerProcess) -> None:
     places = [locked.log, fetch(locked.metrics_url)[1]]
     command_line = Path(f"/proc/{locked.process.pid}/cmdline")
     if command_line.exists():
-        places.append(command_line.read_text())
+        places.append(command_line.read_text(encoding="utf-8"))
     if shutil.which("ps"):
         ps = ["ps", "-o", "args=", "-p", str(locked.process.pid)]
         places.append(subprocess.run(ps, check=True, capture_output=True, text=True).stdout)

@@ -560,7 +560,7 @@ def test_a_shape_of_many_sizes() -> None:
 
 def peak_memory(server: ServerProcess) -> int:
     """Most memory that the process has ever had [bytes]."""
-    status = Path(f"/proc/{server.process.pid}/status").read_text()
+    status = Path(f"/proc/{server.process.pid}/status").read_text(encoding="utf-8")
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])
 
 

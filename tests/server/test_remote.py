@@ -8,17 +8,20 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from octoarm_agents.serving import ServerProcess
 
 import octoarm_env
 from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy
 from octoarm_env.remote import RemoteError, RemoteOctoArm
+from octoarm_env.rendering.camera import Camera
 
 Make = Callable[..., RemoteOctoArm]
 
@@ -164,6 +167,35 @@ def test_gymnasium_checks_it(server: ServerProcess) -> None:
         assert env.spec.max_episode_steps == 500
     finally:
         env.close()
+
+
+def test_arguments_survive_json_and_stay(server: ServerProcess, tmp_path: Path) -> None:
+    square = np.array([[0.0, 1], [1, 0], [0, -1], [-1, 0.1]])
+    env = gym.make(
+        "OctoArmRemote-v0",
+        address=server.address,
+        target=square,
+        arm=ArmParameters(arm_density=1042.0),
+        camera=Camera(zoom=2.0),
+        max_episode_steps=7,
+    )
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    try:
+        assert again.spec == env.spec
+        for one, other in zip(again.reset(seed=1), env.reset(seed=1), strict=True):
+            assert_same(one, other)
+        for name in ("address", "token", "certificate", "timeout", "target"):
+            with pytest.raises(
+                AttributeError, match=rf"{name} .*OctoArmRemote-v0\", {name}=\.\.\."
+            ):
+                setattr(env.unwrapped, name, "other")
+    finally:
+        env.close()
+        again.close()
+    # Of the arguments that it has alone, a path is the one that JSON has not.
+    env = OctoArmEnv()
+    env.spec = EnvSpec("OctoArmRemote-v0", kwargs={"certificate": tmp_path})
+    assert env.spec.kwargs == {"certificate": str(tmp_path)}
 
 
 def test_without_a_seed_every_environment_begins_elsewhere(make: Make) -> None:

@@ -24,6 +24,7 @@ from octoarm_agents.analysis.polynomials import (
     orthonormal_polynomials,
 )
 from octoarm_agents.analysis.states import Recording
+from octoarm_agents.whole import whole_number
 
 __all__ = ["InformationProcessingCapacity", "count_targets", "information_processing_capacity"]
 
@@ -145,11 +146,10 @@ def information_processing_capacity(
     Raises:
         ValueError: a number out of its range, too many functions, or too few rows.
     """
-    delays = tuple(delays)
-    if not delays or min(delays) < 0:
-        raise ValueError(f"delays = {list(delays)}: expected one or more numbers, not negative")
-    if surrogates < 0:
-        raise ValueError(f"surrogates = {surrogates}: expected a number, not negative")
+    delays = tuple(whole_number(f"delays[{index}]", each) for index, each in enumerate(delays))
+    if not delays:
+        raise ValueError("delays = []: expected one or more numbers")
+    surrogates, washout = whole_number("surrogates", surrogates), whole_number("washout", washout)
     columns = recording.inputs.shape[1]
     count = count_targets(delays, columns)
     if count > MAXIMUM_TARGETS:

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.whole import whole_number
+
 __all__ = ["LyapunovExponent", "largest_lyapunov_exponent"]
 
 Float = NDArray[np.float64]
@@ -73,12 +75,9 @@ def largest_lyapunov_exponent(
     Raises:
         ValueError: a number out of its range, or trajectories that meet within one step.
     """
-    if blocks < 2:
-        raise ValueError(f"blocks = {blocks}: expected at least 2")
-    if steps < blocks:
-        raise ValueError(f"steps = {steps}: expected at least one for each of {blocks} blocks")
-    if transient < 0:
-        raise ValueError(f"transient = {transient}: expected a number of steps, not negative")
+    blocks = whole_number("blocks", blocks, 2)
+    # At least one for each block.
+    steps, transient = whole_number("steps", steps, blocks), whole_number("transient", transient)
     if not (interval > 0 and size > 0):
         raise ValueError(f"interval = {interval}, size = {size}: expected positive numbers")
     direction = np.random.default_rng(seed).standard_normal(len(state))

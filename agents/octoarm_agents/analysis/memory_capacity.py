@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import StateBasis
 from octoarm_agents.analysis.states import Recording
+from octoarm_agents.whole import whole_number
 
 __all__ = ["MemoryCapacity", "delayed_inputs", "memory_capacity"]
 
@@ -108,8 +109,7 @@ def memory_capacity(
     Raises:
         ValueError: a number out of its range, or too few rows.
     """
-    if max_delay < 1:
-        raise ValueError(f"max_delay = {max_delay}: expected at least 1")
+    max_delay, washout = whole_number("max_delay", max_delay, 1), whole_number("washout", washout)
     if not 0.1 <= training_fraction <= 0.9:
         raise ValueError(f"training_fraction = {training_fraction}: expected 0.1 to 0.9")
     recording.check_length(washout, max_delay)

@@ -14,6 +14,7 @@ from octoarm_agents.analysis.echo_state import EchoState, fit_decay
 from octoarm_agents.analysis.lyapunov import LyapunovExponent, largest_lyapunov_exponent
 from octoarm_agents.analysis.measures import Advance, Measures, MeasureSettings, measure
 from octoarm_agents.analysis.rank import SeparationRanks, separation_ranks
+from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters
 
 __all__ = ["ArmSurvey", "SurveySettings", "survey_arm"]
@@ -52,15 +53,9 @@ class SurveySettings:
     lyapunov_length: int = 1000
 
     def __post_init__(self) -> None:
-        for name, low in (
-            ("samples", 100),
-            ("streams", 2),
-            ("stream_length", 1),
-            ("echo_length", 10),
-            ("lyapunov_length", 10),
-        ):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least {low}")
+        whole_fields(
+            self, samples=100, streams=2, stream_length=1, echo_length=10, lyapunov_length=10
+        )
         if not 0 < self.similarity < 1:
             raise ValueError(f"similarity = {self.similarity}: expected a share between 0 and 1")
 

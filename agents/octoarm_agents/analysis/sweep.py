@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 from octoarm_agents.analysis.survey import SurveySettings, survey_arm
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, DomainError
 
 __all__ = ["QUANTITIES", "Quantity", "SweepPoint", "default_values", "run_sweep"]
@@ -76,6 +77,7 @@ def run_sweep(
 
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity = {quantity!r}: expected one of {sorted(QUANTITIES)}")
+    jobs = whole_number("jobs", jobs, 1)
     if not values:
         raise ValueError("values: expected at least one")
     # Made here, so that a value that no body can have is an error before any work is done.

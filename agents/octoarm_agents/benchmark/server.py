@@ -334,7 +334,11 @@ def python_server(*arguments: str) -> Iterator[str]:
     command = [sys.executable, "-m", "octoarm_agents.benchmark.grpcio_server", *arguments]
     with tempfile.TemporaryFile("w+", encoding="utf-8") as log:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            encoding="utf-8",
         )
         assert process.stdout is not None
         try:
@@ -375,7 +379,11 @@ def _load(program: str, address: str, connections: int, period: float, seconds: 
     command += ["--control-period", repr(period), "--seconds", f"{seconds:.6f}"]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=seconds + _PATIENCE, check=False
+            command,
+            capture_output=True,
+            encoding="utf-8",
+            timeout=seconds + _PATIENCE,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise LoadError(

@@ -37,6 +37,7 @@ from octoarm_agents.benchmark.contenders import (
     vector_name,
 )
 from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.whole import whole_number
 from octoarm_env import OctoArmVectorEnv, instruction_set
 
 __all__ = ["Ratio", "SpeedResult", "Spread", "measure_speed", "take_turns", "time_slice"]
@@ -244,6 +245,7 @@ def take_turns(
     Returns:
         Steps in a slice, and seconds of a step in every round, both by name.
     """
+    rounds = whole_number("rounds", rounds, 1)
     names = list(slices)
     budget = seconds / (rounds * len(names))
     steps = {name: _fitting_steps(slices[name], limits[name], budget) for name in names}

@@ -69,7 +69,7 @@ def calibrate_body(
         trials: T_ini with which the best body is measured again.
         seed: of the search.
         jobs: processes.
-        progress: show a bar on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         What ``calibration.json`` holds; None if no body stayed in its domain.

@@ -19,6 +19,7 @@ from octoarm_agents.reservoir.closed_loop import (
 )
 from octoarm_agents.reservoir.teaching import TIME_SCALES, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
+from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
 __all__ = ["CLOSED_STEPS", "calibrate_cycle"]
@@ -69,8 +70,7 @@ def calibrate_cycle(
         DomainError: the arm cannot follow the teacher.
         OSError: the folder cannot be written to.
     """
-    if steps < WINDOW_STEPS:
-        raise ValueError(f"steps = {steps}: expected at least {WINDOW_STEPS}")
+    steps = whole_number("steps", steps, WINDOW_STEPS)
     report = advance or (lambda stage, count: None)
     tuned = tune(
         parameters,

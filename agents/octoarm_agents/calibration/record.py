@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.files import write_atomically
+from octoarm_agents.files import write_text
 
 __all__ = ["append_evaluations", "read_evaluations"]
 
@@ -38,7 +38,7 @@ def read_evaluations(path: Path) -> list[dict[str, Any]]:
             raise ValueError(f"{path}, line {number}: not an evaluation of a body")
         evaluations.append(evaluation)
     if whole != text:
-        write_atomically(path, lambda file: _write_text(file, whole))
+        write_text(path, whole)
     return evaluations
 
 
@@ -52,7 +52,3 @@ def append_evaluations(path: Path, evaluations: Sequence[Mapping[str, Any]]) -> 
     lines = "".join(f"{json.dumps(each, allow_nan=False)}\n" for each in evaluations)
     with path.open("a", encoding="utf-8") as file:
         file.write(lines)
-
-
-def _write_text(file: Path, text: str) -> None:
-    file.write_text(text, encoding="utf-8")

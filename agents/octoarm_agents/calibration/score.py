@@ -39,6 +39,7 @@ from octoarm_agents.experiments.task1 import (
 from octoarm_agents.reservoir.emulation import emulation_targets
 from octoarm_agents.reservoir.inputs import product_of_sines
 from octoarm_agents.reservoir.recording import record_arms
+from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [
@@ -72,17 +73,16 @@ TEACHER_STEPS = 10_000
 """Steps for which a teacher forces the resting arm: onto the cycle, and several turns of it."""
 
 
-def initial_steps(count: int) -> list[int]:
+def initial_steps(trials: int) -> list[int]:
     """T_ini of so many runs of Task 1, evenly over the range of section 2.2.1.
 
     Args:
-        count: at least 1; a single one is in the middle.
+        trials: number of runs, at least 1; a single one is in the middle.
     """
-    if count < 1:
-        raise ValueError(f"count = {count}: expected at least 1")
-    if count == 1:
+    trials = whole_number("trials", trials, 1)
+    if trials == 1:
         return [INITIAL_STEPS // 2]
-    return [round(value) for value in np.linspace(0, INITIAL_STEPS, count)]
+    return [round(value) for value in np.linspace(0, INITIAL_STEPS, trials)]
 
 
 @functools.lru_cache(maxsize=8)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,8 @@ from octoarm_agents.calibration.score import evaluate_bodies
 from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
 from octoarm_agents.experiments.trials import code_digest, share_out
 from octoarm_agents.machine import package_versions
+from octoarm_agents.progress import progress_bar
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters
 
 __all__ = ["POPULATION", "search_bodies"]
@@ -61,7 +62,7 @@ def search_bodies(
         noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
-        progress: show a bar on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         The evaluations of these searches, each ``search`` (digest of all that it depends on),
@@ -73,17 +74,11 @@ def search_bodies(
         OSError: the file cannot be read or written.
     """
     from joblib import Parallel
-    from tqdm import tqdm
 
-    for name, value, low in (
-        ("evaluations", evaluations, 1),
-        ("noise_seeds", noise_seeds, 0),
-        ("seed", seed, 0),
-        ("jobs", jobs, 1),
-        ("spaces", len(spaces), 1),
-    ):
-        if value < low:
-            raise ValueError(f"{name} = {value}: expected at least {low}")
+    evaluations, jobs = whole_number("evaluations", evaluations, 1), whole_number("jobs", jobs, 1)
+    noise_seeds, seed = whole_number("noise_seeds", noise_seeds), whole_number("seed", seed)
+    if not spaces:
+        raise ValueError("spaces is empty: expected at least one")
     if any(space.base != spaces[0].base for space in spaces):
         raise ValueError("spaces: expected the same base in each")
     judge = {
@@ -95,13 +90,7 @@ def search_bodies(
     searches = [_Search(space, judge, seed, stored) for space in spaces]
     results: list[dict[str, Any]] = []
     with (
-        tqdm(
-            total=evaluations * len(spaces),
-            desc="bodies",
-            file=sys.stderr,
-            disable=None if progress is None else not progress,
-            leave=False,
-        ) as bar,
+        progress_bar(evaluations * len(spaces), "bodies", shown=progress) as bar,
         Parallel(n_jobs=min(jobs, POPULATION * len(spaces))) as parallel,
     ):
         for begin in range(0, evaluations, POPULATION):

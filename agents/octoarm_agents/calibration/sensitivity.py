@@ -15,7 +15,7 @@ from octoarm_agents.calibration.sensitivity_report import draw_sensitivity, sens
 from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
 from octoarm_agents.experiments.task1 import RANGE, check_timestep
 from octoarm_agents.experiments.trials import run_trials
-from octoarm_agents.files import write_atomically, write_json
+from octoarm_agents.files import write_atomically, write_json, write_text
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
@@ -171,7 +171,7 @@ def measure_sensitivity(
         amplitudes: R of the teachers [degrees].
         noise_seeds: trainings of each limit cycle; 0: none.
         jobs: processes; the results do not depend on it.
-        progress: show a bar on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         What ``sensitivity.json`` holds.
@@ -221,10 +221,6 @@ def measure_sensitivity(
     }
     text = sensitivity_markdown(result)
     write_atomically(out / "sensitivity.png", lambda path: draw_sensitivity(result, path))
-    write_atomically(out / "sensitivity.md", lambda path: _write_text(path, text))
+    write_text(out / "sensitivity.md", text)
     write_json(out / "sensitivity.json", result)
     return result
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

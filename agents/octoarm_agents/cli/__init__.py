@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Annotated
 
 import typer
@@ -73,4 +75,9 @@ def _root(
 
 def main() -> None:
     """Run the command line."""
+    # What an encoding cannot show, Windows' for pipes say, is shown as "?": no work ends in an
+    # error because of a degree sign.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     app()

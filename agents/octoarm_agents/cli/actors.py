@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from octoarm_agents.policies.loading import Policy
     from octoarm_env import ArmParameters
 
-__all__ = ["ACTOR_HELP", "Actor", "find_actor", "find_policy"]
+__all__ = ["ACTOR_HELP", "Actor", "find_actor"]
 
 ACTOR_HELP = (
     "File of an agent (.json, .npz), AGENT/TARGET for one that comes along, or clock/TARGET, "
@@ -53,21 +53,6 @@ class Actor:
             raise typer.BadParameter(f"{error}.", param_hint="'--arm'") from None
 
 
-def find_policy(name: str) -> Policy:
-    """Load a policy by its file, or one that comes along by AGENT/TARGET."""
-    from octoarm_agents.policies import load_policy, load_trained
-
-    agent, _, target = name.rpartition("/")
-    try:
-        if not Path(name).exists() and Path(name).suffix == "" and agent:
-            return load_trained(agent, target)
-        return load_policy(name)
-    except OSError as error:
-        raise typer.BadParameter(f"cannot read {name}: {error.strerror}.") from None
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
-
-
 def find_actor(name: str, arm: Path | None) -> Actor:
     """Find an agent by its name, on its own body or on that in a file.
 
@@ -75,14 +60,26 @@ def find_actor(name: str, arm: Path | None) -> Actor:
         typer.BadParameter: there is no such agent, or it does not fit the body.
     """
     from octoarm_agents.environment import TARGETS
+    from octoarm_agents.policies import load_policy, trained_agents
+    from octoarm_agents.policies.evaluation import TRIVIAL
 
-    kind, _, target = name.partition("/")
-    if kind in ("hold", "clock") and not Path(name).exists():
-        if target not in TARGETS:
-            known = ", ".join(f"{kind}/{each}" for each in TARGETS)
-            raise typer.BadParameter(f"{name!r} is not one of {known}.")
-        return Actor(name, cast("Trivial", kind), read_body(arm), {"target": target})
-    policy = find_policy(name)
+    trained = {"/".join(key): file for key, file in trained_agents().items()}
+    trivial = {f"{kind}/{target}": (kind, target) for kind in TRIVIAL for target in TARGETS}
+    file = Path(name)
+    if not file.exists():
+        if name in trivial:
+            kind, target = trivial[name]
+            return Actor(name, kind, read_body(arm), {"target": target})
+        if name not in trained and file.suffix not in (".json", ".npz"):
+            known = ", ".join((*trained, *trivial))
+            raise typer.BadParameter(f"{name!r} is neither a file nor one of {known}.")
+        file = trained.get(name, file)
+    try:
+        policy = load_policy(file)
+    except OSError as error:
+        raise typer.BadParameter(f"cannot read {name}: {error.strerror}.") from None
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}.") from None
     body = policy.parameters
     if arm is not None:
         body = read_body(arm)

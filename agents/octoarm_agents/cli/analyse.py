@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import number_between, output_folder, read_body
+from octoarm_agents.progress import progress_bar, stage_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
     from octoarm_agents.analysis.measures import MeasureSettings
     from octoarm_agents.analysis.survey import SurveySettings
@@ -168,13 +168,8 @@ def states(
     console = Console()
     try:
         recording = read_recording(states_file, input_file)
-        with _progress() as progress:
-            task = progress.add_task("measuring", total=1.0)
-            result = measure(
-                recording,
-                settings,
-                lambda stage, share: progress.update(task, description=stage, advance=share),
-            )
+        with stage_bar("measuring") as advance:
+            result = measure(recording, settings, advance)
     except OSError as error:
         raise typer.BadParameter(f"cannot read {error.filename}: {error.strerror}.") from None
     except ValueError as error:
@@ -329,14 +324,13 @@ def _survey(console: Console, parameters: Any, settings: SurveySettings, out: Pa
     stages = ["starting"]
 
     try:
-        with _progress() as progress:
-            task = progress.add_task("starting", total=1.0)
+        with stage_bar("starting") as advance:
 
-            def advance(stage: str, share: float) -> None:
+            def note(stage: str, share: float) -> None:
                 stages.append(stage)
-                progress.update(task, description=stage, advance=share)
+                advance(stage, share)
 
-            result = survey_arm(parameters, settings, advance)
+            result = survey_arm(parameters, settings, note)
     except DomainError as error:
         typer.echo(f"Ended during {stages[-1]}: {error}.", err=True)
         typer.echo("The input is too much for this body: try a smaller --range.", err=True)
@@ -362,11 +356,8 @@ def _sweep(
     from octoarm_agents.files import write_atomically, write_json
 
     chosen = default_values(quantity, settings) if values is None else _parse_values(values)
-    with _progress() as progress:
-        task = progress.add_task(quantity, total=len(chosen))
-        points = run_sweep(
-            quantity, chosen, parameters, settings, jobs, lambda point: progress.advance(task)
-        )
+    with progress_bar(len(chosen), quantity) as bar:
+        points = run_sweep(quantity, chosen, parameters, settings, jobs, lambda point: bar.update())
     content = {
         "quantity": quantity,
         "meaning": QUANTITIES[quantity],
@@ -384,14 +375,6 @@ def _sweep(
     _finish(console, [], out)
     if all(point.summary is None for point in points):
         raise typer.Exit(1)
-
-
-def _progress() -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<19}"), BarColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def _finish(console: Console, warnings: list[str], out: Path) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from octoarm_agents.cli.options import need_extra, number_between, output_file
+from octoarm_agents.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -117,16 +118,14 @@ def _watched(
     seconds: float,
     rounds: int,
 ) -> _Result:
-    """Measure with a progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    """Measure, and show how far that is."""
+    with progress_bar(None, "measuring", unit=" slices") as bar:
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("measuring", total=None)
-        return measure(
-            seconds, rounds, lambda name, total: progress.update(task, advance=1, total=total)
-        )
+        def advance(name: str, total: int) -> None:
+            bar.total = total
+            bar.update()
+
+        return measure(seconds, rounds, advance)
 
 
 def _show_speed(result: SpeedResult, console: Console, content: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import number_between, output_folder, read_body
+from octoarm_agents.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -314,10 +315,7 @@ def cycle(
     Exit status: 0 if the cycle was held to the end; 1 if not; 2 for bad
     options.
     """
-    import sys
-
     from rich.console import Console
-    from tqdm import tqdm
 
     from octoarm_agents.calibration.cycle import calibrate_cycle
     from octoarm_env import DomainError
@@ -325,13 +323,7 @@ def cycle(
     parameters = read_body(arm)
     try:
         # A thousand steps count as one candidate: about as long.
-        with tqdm(
-            total=evaluations + steps // 1000,
-            desc=target,
-            file=sys.stderr,
-            disable=None,
-            leave=False,
-        ) as bar:
+        with progress_bar(evaluations + steps // 1000, target) as bar:
 
             def advance(stage: str, count: int) -> None:
                 bar.set_postfix_str(stage)

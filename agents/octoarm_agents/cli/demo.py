@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import number_between, output_folder, read_body
+from octoarm_agents.progress import stage_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -103,7 +104,6 @@ def demo(
     from dataclasses import replace
 
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from octoarm_agents import demo as arm_demo
     from octoarm_agents.demo_figure import draw_demo
@@ -123,19 +123,13 @@ def demo(
         seed=seed,
     )
     console, errors = Console(), Console(stderr=True)
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=errors, transient=True) as progress:
-        total = teaching.steps + arm_demo.FORCED_STEPS + steps
-        task = progress.add_task("teaching", total=total)
-
-        def advance(stage: str, count: int) -> None:
-            progress.update(task, description=stage, advance=count)
-
+    total = teaching.steps + arm_demo.FORCED_STEPS + steps
+    with stage_bar("teaching", total) as advance:
         try:
             result = arm_demo.run_demo(settings, parameters, advance)
         except ValueError as error:  # a body without a static equilibrium
             raise typer.BadParameter(str(error), param_hint="'--arm'") from None
-        progress.update(task, description="drawing")
+        advance("drawing", 0)
         write_json(out / "demo.json", result.to_dict())
         figure = draw_demo(result)
         write_atomically(out / "demo.png", figure.savefig)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from octoarm_agents.cli.actors import find_policy
+from octoarm_agents.cli.actors import ACTOR_HELP, find_actor
 from octoarm_agents.cli.options import (
     EpisodeSeed,
     EpisodeSteps,
@@ -16,7 +17,6 @@ from octoarm_agents.cli.options import (
     PushSize,
     number_between,
     output_file,
-    read_body,
 )
 
 __all__ = ["evaluate"]
@@ -26,7 +26,7 @@ def evaluate(
     policies: Annotated[
         list[str],
         typer.Argument(
-            help="Files of agents (.json, .npz), or AGENT/TARGET for those that come along.",
+            help=ACTOR_HELP,
             show_default=False,
         ),
     ],
@@ -45,7 +45,7 @@ def evaluate(
         ),
     ] = None,
 ) -> None:
-    """Let saved agents act in the environment they were trained in.
+    """Let agents act, each in the environment it was trained in.
 
     Prints return, tracking error, distance from the orbit whatever the phase,
     period and survival, and beside them what holding still and the clock that
@@ -54,41 +54,47 @@ def evaluate(
     from rich.console import Console
     from rich.table import Table
 
+    from octoarm_agents.environment import inspect_env
     from octoarm_agents.files import write_json
-    from octoarm_agents.policies.evaluation import evaluate_policy
+    from octoarm_agents.policies.evaluation import TRIVIAL, evaluate_policy
     from octoarm_agents.policies.rollout import Noise, Push
 
-    agents = [(name, find_policy(name)) for name in policies]
-    body = None if arm is None else read_body(arm)
-    homes: list[Any] = []
-    for _, policy in agents:
-        if not any(policy.settings == home.settings for home in homes):
-            homes.append(policy)
-    rows: list[tuple[str, Any, Any]] = [(name, policy, policy) for name, policy in agents]
-    rows += [(kind, kind, home) for home in homes for kind in ("hold", "clock")]
+    actors = [find_actor(name, arm) for name in policies]
+    for index, actor in enumerate(actors):
+        if isinstance(actor.policy, str):
+            # It is at home wherever its target is; what the environment makes of the rest counts.
+            env = actor.make_env(steps)
+            actors[index] = replace(actor, settings=inspect_env(env)[1])
+            env.close()
+    # Beside the agents of each home the trivial ones, unless they are among them.
+    for home in list(actors):
+        for kind in TRIVIAL:
+            beside = replace(home, name=kind, policy=kind)
+            if not any(replace(each, name=kind) == beside for each in actors):
+                actors.append(beside)
     table = Table()
     table.add_column("agent", overflow="fold")
     for heading in ("target", "return", "error (°)", "orbit distance", "period", "survival"):
         table.add_column(heading, justify="right")
     results = []
-    for name, policy, home in rows:
+    for actor in actors:
+        assert actor.policy is not None
         try:
             figures = evaluate_policy(
-                policy,
-                home,
+                actor.policy,
+                actor,
                 episodes=episodes,
                 steps=steps,
                 seed=seed,
-                body=body,
-                push=Push.after_a_second(push, home.settings["control_period"]) if push else None,
+                push=Push.after_a_second(push, actor.settings["control_period"]) if push else None,
                 noise=Noise(noise) if noise else None,
             )
         except ValueError as error:
-            raise typer.BadParameter(f"{name}: {error}.") from None
-        target = home.settings["target"]
-        results.append({"agent": name, "target": target, **figures})
+            raise typer.BadParameter(f"{actor.name}: {error}.") from None
+        target = actor.settings["target"]
+        results.append({"agent": actor.name, "target": target, **figures})
         table.add_row(
-            name,
+            actor.name,
             target if isinstance(target, str) else "own",
             f"{figures['return']:.1f}",
             f"{figures['tracking_error']:.3f}",
@@ -103,7 +109,7 @@ def evaluate(
             "seed": seed,
             "push": push,
         }
-        settings |= {"noise": noise, "arm": None if body is None else body.to_dict()}
+        settings |= {"noise": noise, "arm": None if arm is None else actor.parameters.to_dict()}
         write_json(out, {"settings": settings, "rows": results})
         typer.echo(f"Wrote {out}.")
 

@@ -25,6 +25,7 @@ from octoarm_agents.cli.options import (
     output_file,
     output_folder,
 )
+from octoarm_agents.progress import progress_bar
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -130,9 +131,7 @@ def inspect(
 
 
 def _log(log: EpisodeLog, episode: Episode) -> None:
-    from tqdm import tqdm
-
-    with tqdm(total=episode.steps, unit=" steps", disable=None, leave=False) as bar:
+    with progress_bar(episode.steps, "recording", unit=" steps") as bar:
         while not episode.ended:
             episode.step()
             log.step()

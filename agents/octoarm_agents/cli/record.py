@@ -26,6 +26,7 @@ from octoarm_agents.cli.pictures import (
     Zoom,
     make_renderer,
 )
+from octoarm_agents.progress import progress_bar
 
 __all__ = ["record"]
 
@@ -73,8 +74,6 @@ def record(
     The same call gives the same frames. A film appears whole or not at all: an interrupted one
     leaves nothing behind.
     """
-    from tqdm import tqdm
-
     from octoarm_agents import recording
     from octoarm_agents.policies.episode import Episode
 
@@ -109,7 +108,7 @@ def record(
                 "choose .mp4, fewer --steps, a lower --fps or a smaller picture.",
                 param_hint="'--out'",
             )
-        with tqdm(total=steps, unit=" steps", disable=None, leave=False) as bar:
+        with progress_bar(steps, "filming", unit=" steps") as bar:
             if out.suffix.lower() == ".png":
                 recording.picture_end(episode, renderer, out, progress=bar.update)
             else:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import need_extra, number_between, output_folder, read_body
+from octoarm_agents.progress import progress_bar
 
 if TYPE_CHECKING:
     from octoarm_agents.rl import Training
@@ -30,7 +31,8 @@ def train(
     steps: Annotated[
         int | None,
         typer.Option(
-            help="Environment steps, over all environments.",
+            help="Environment steps, over all environments. More of them with --resume extend a "
+            "training, finished or not.",
             show_default="the algorithm's own",
             callback=number_between(1, 10_000_000_000),
         ),
@@ -107,7 +109,9 @@ def train(
 
     The same call with --resume goes on where an interrupted training was last
     saved, and then computes what it would have computed. The same seed gives
-    the same curve: one thread computes.
+    the same curve: one thread computes. With more --steps as well, it goes on
+    for longer, as one of so many steps would have: but for hyper-parameters
+    that fall over the whole training, which a warning names.
     """
     with need_extra("rl"):
         from octoarm_agents.rl import Hyperparameters, Training
@@ -116,7 +120,8 @@ def train(
     folder = output_folder(out or Path("out/train") / f"{algorithm}-{target}-{seed}")
     if not resume and (folder / CHECKPOINT).exists():
         raise typer.BadParameter(
-            f"{folder} holds a training: go on with --resume, or choose another folder.",
+            f"{folder} holds a training: go on with --resume (and more --steps, to extend it), or "
+            "choose another folder.",
             param_hint="'--out'",
         )
     env: dict[str, Any] = {}
@@ -135,7 +140,7 @@ def train(
             env=env,
             hyperparameters=Hyperparameters.load(algorithm, hyperparameters),
         )
-        summary = _train(training, folder, resume, tensorboard)
+        summary = _train(training, folder, resume, resume and steps is not None, tensorboard)
     except (OSError, ValueError) as error:
         raise typer.BadParameter(f"{error}.") from None
     best, final = summary["best"], summary["final"]
@@ -147,14 +152,13 @@ def train(
     typer.echo(f"Look at it: octoarm watch {folder / 'best.npz'}")
 
 
-def _train(training: Training, folder: Path, resume: bool, tensorboard: bool) -> dict[str, Any]:
-    from tqdm import tqdm
-
+def _train(
+    training: Training, folder: Path, resume: bool, extend: bool, tensorboard: bool
+) -> dict[str, Any]:
     from octoarm_agents.rl import train as run
 
-    with tqdm(
-        total=training.steps, unit="step", unit_scale=True, file=sys.stderr, disable=None
-    ) as bar:
+    name = f"{training.algorithm}, {training.target}"
+    with progress_bar(training.steps, name, unit="step", unit_scale=True) as bar:
 
         def progress(done: int, value: float) -> None:
             bar.update(min(done, training.steps) - bar.n)
@@ -165,6 +169,7 @@ def _train(training: Training, folder: Path, resume: bool, tensorboard: bool) ->
             training,
             folder,
             resume=resume,
+            extend=extend,
             tensorboard=tensorboard,
             progress=progress,
             command=shlex.join(["octoarm", *sys.argv[1:]]),

@@ -14,13 +14,14 @@ from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
 from octoarm_agents.environment import TARGETS
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.policies.evaluation import TRIVIAL
+from octoarm_agents.whole import whole_fields
 
 __all__ = ["AGENTS", "NETWORKS", "TRAINED", "TRIVIAL", "Cell", "make_agent"]
 
 READOUTS = ("readout_pinv", "readout_ridge")
 NETWORKS = ("ppo", "sac", "tqc", "recurrent_ppo")
 TRAINED = (*READOUTS, "linear_search", *NETWORKS)
-TRIVIAL = ("hold", "clock")
 AGENTS = (*TRAINED, *TRIVIAL)
 """In the order of the tables."""
 
@@ -58,6 +59,7 @@ class Cell:
             raise ValueError(f"agent = {self.agent!r}: expected one of {TRAINED}")
         if self.target not in TARGETS:
             raise ValueError(f"target = {self.target!r}: expected one of {TARGETS}")
+        whole_fields(self, seed=0)
         if not 0 < self.budget < float("inf"):
             raise ValueError(f"budget = {self.budget}: expected a positive number")
 

@@ -23,6 +23,7 @@ from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies import Network, NetworkPolicy, save_network
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.rollout import roll_out
+from octoarm_agents.whole import whole_fields
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["LinearSearch", "search_linear"]
@@ -56,13 +57,11 @@ class LinearSearch:
     evaluations: int = 20
 
     def __post_init__(self) -> None:
-        for name in ("population", "episodes", "episode_steps", "evaluations", "steps"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 1")
+        whole_fields(
+            self, population=4, episodes=1, episode_steps=1, evaluations=1, steps=1, seed=0
+        )
         if not self.sigma > 0:
             raise ValueError(f"sigma = {self.sigma}: expected a positive number")
-        if self.population < 4:
-            raise ValueError(f"population = {self.population}: expected at least 4")
 
 
 def search_linear(

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from octoarm_agents.environment import make_vector_env
 from octoarm_agents.policies import Policy, load_policy
-from octoarm_agents.policies.evaluation import Trivial, acting
+from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
 from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout, roll_out
+from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 __all__ = [
@@ -62,9 +63,7 @@ class Protocol:
     after: int = 800
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "steps", "long_steps", "after"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 1")
+        whole_fields(self, seed=0, episodes=1, steps=1, long_steps=1, after=1)
 
 
 _BEGIN = 100
@@ -112,8 +111,8 @@ def measure_agent(
     chosen: Policy | Trivial
     if policy is not None:
         chosen = load_policy(policy, settings=settings)
-    elif agent in ("hold", "clock"):
-        chosen = agent  # type: ignore[assignment]
+    elif agent in TRIVIAL:
+        chosen = agent
     else:
         raise ValueError(f"agent = {agent!r} needs the file of its policy")
     test = _Test(chosen, parameters, settings, given)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import shutil
 import statistics
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -40,6 +39,8 @@ from octoarm_agents.files import write_json
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import acting
+from octoarm_agents.progress import progress_bar
+from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["Comparison", "compare"]
@@ -83,9 +84,7 @@ class Comparison:
             unknown = [each for each in given if each not in known]
             if unknown or not given:
                 raise ValueError(f"{name} = {given}: expected some of {known}")
-        for name, low in (("seeds", 1), ("jobs", 1), ("readout_map", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least {low}")
+        whole_fields(self, seeds=1, jobs=1, readout_map=0)
 
 
 def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) -> dict[str, Any]:
@@ -97,7 +96,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Args:
         comparison: what to compare.
         out: folder.
-        progress: show bars on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
 
     Returns:
         What ``compare.json`` holds.
@@ -183,15 +182,9 @@ def _train_all(
     cells: Sequence[Cell], jobs: int, progress: bool | None
 ) -> dict[Cell, dict[str, Any]]:
     from joblib import Parallel, delayed
-    from tqdm import tqdm
 
     summaries: dict[Cell, dict[str, Any]] = {}
-    with tqdm(
-        total=len(cells),
-        desc="trainings",
-        file=sys.stderr,
-        disable=None if progress is None else not progress,
-    ) as bar:
+    with progress_bar(len(cells), "trainings", shown=progress) as bar:
         run = Parallel(n_jobs=min(jobs, max(len(cells), 1)), return_as="generator_unordered")
         for cell, summary in run(delayed(_make)(cell) for cell in cells):
             summaries[cell] = summary
@@ -466,6 +459,7 @@ def _ship(
             }
         )
     protocol = comparison.protocol
+    folder.mkdir(parents=True, exist_ok=True)
     write_json(
         folder / "trained.json",
         {

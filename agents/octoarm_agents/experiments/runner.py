@@ -10,6 +10,7 @@ from typing import Any
 from octoarm_agents.experiments.trials import Record, Settings, Trial, run_trials
 from octoarm_agents.files import write_atomically, write_json
 from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters
 
 __all__ = ["Context", "Experiment", "ResultTable", "reproduce"]
@@ -44,7 +45,7 @@ class Context:
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
-        progress: show bars on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
         fresh: compute every trial anew, even if it is stored.
     """
 
@@ -59,10 +60,7 @@ class Context:
     fresh: bool = False
 
     def __post_init__(self) -> None:
-        for name, low in (("trials", 1), ("seed", 0), ("jobs", 1), ("steps", 1)):
-            value = getattr(self, name)
-            if value is not None and value < low:
-                raise ValueError(f"{name} = {value}: expected at least {low}")
+        whole_fields(self, trials=1, seed=0, jobs=1, steps=1)
 
     def run(
         self,

@@ -8,14 +8,15 @@ import hashlib
 import importlib.util
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from octoarm_agents.files import write_json
 from octoarm_agents.machine import package_versions
+from octoarm_agents.progress import progress_bar
 from octoarm_agents.reservoir.recording import LANES
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, _core
 
 __all__ = ["code_digest", "run_trials", "share_out"]
@@ -57,7 +58,7 @@ def run_trials(
             trials it is called with.
         jobs: processes.
         fresh: compute every trial anew, whatever `folder` holds.
-        progress: show a bar on standard error; None: if that is a terminal.
+        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
         description: of the bar.
 
     Returns:
@@ -67,10 +68,8 @@ def run_trials(
         ValueError: fewer than one job, or a result with numbers that are not finite.
     """
     from joblib import Parallel, delayed
-    from tqdm import tqdm
 
-    if jobs < 1:
-        raise ValueError(f"jobs = {jobs}: expected at least 1")
+    jobs = whole_number("jobs", jobs, 1)
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
     files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]
@@ -90,14 +89,7 @@ def run_trials(
     else:
         shares = share_out(len(missing), jobs)
     calls = (delayed(_run_share)(function, parameters, record, missing[each]) for each in shares)
-    with tqdm(
-        total=len(settings),
-        initial=len(results),
-        desc=description,
-        file=sys.stderr,
-        disable=None if progress is None else not progress,
-        leave=False,
-    ) as bar:
+    with progress_bar(len(settings), description, initial=len(results), shown=progress) as bar:
         run = Parallel(n_jobs=min(jobs, max(len(shares), 1)), return_as="generator_unordered")
         for finished in run(calls):
             results |= finished

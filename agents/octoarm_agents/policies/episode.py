@@ -12,6 +12,7 @@ from octoarm_agents.environment import inspect_env
 from octoarm_agents.policies.evaluation import Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout
+from octoarm_agents.whole import whole_number
 from octoarm_env import OctoArmEnv
 
 __all__ = ["Episode"]
@@ -58,6 +59,7 @@ class Episode:
         push: float = 0.0,
         noise: float = 0.0,
     ) -> None:
+        steps, seed = whole_number("steps", steps, 1), whole_number("seed", seed)
         self._policy, self._env = acting(policy, env), env
         self.arm_env = cast(OctoArmEnv, env.unwrapped)
         self.parameters, self.settings = inspect_env(env)

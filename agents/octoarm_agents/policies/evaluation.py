@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 
 from octoarm_agents.environment import make_vector_env
-from octoarm_agents.policies.loading import Policy
+from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
-__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "Trivial", "acting", "evaluate_policy"]
+__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
 
 JUDGING_SEED = 20_000
 """First seed of the episodes that choose the best policy of a training; neither trained nor
@@ -24,6 +25,9 @@ JUDGED_EPISODES = 16
 
 Trivial = Literal["hold", "clock"]
 """Agents by name: the base held still, and the clock that knows the target."""
+
+TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
+"""All of these."""
 
 
 def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Acting:
@@ -43,7 +47,7 @@ def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any])
 
 def evaluate_policy(
     policy: Acting | Trivial,
-    home: Policy,
+    home: Home,
     *,
     episodes: int = 32,
     steps: int = 500,
@@ -57,7 +61,7 @@ def evaluate_policy(
 
     Args:
         policy: the agent, or ``"hold"`` or ``"clock"``.
-        home: an agent whose environment is used; mostly `policy` itself.
+        home: whose body and environment are used; mostly `policy` itself.
         episodes: side by side.
         steps: of each.
         seed: of the first; episode i has seed + i.
@@ -72,6 +76,7 @@ def evaluate_policy(
     Raises:
         ValueError: numbers out of range, or a body with another number of springs.
     """
+    episodes, steps = whole_number("episodes", episodes, 1), whole_number("steps", steps, 1)
     envs = make_vector_env(
         episodes, body or home.parameters, home.settings, steps=steps, threads=threads
     )

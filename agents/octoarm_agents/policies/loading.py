@@ -15,17 +15,27 @@ from octoarm_agents.policies.rollout import Acting
 from octoarm_agents.reservoir import ReadoutPolicy
 from octoarm_env import ArmParameters
 
-__all__ = ["Policy", "load_policy", "load_trained", "trained_agents"]
+__all__ = ["Home", "Policy", "load_policy", "load_trained", "trained_agents"]
 
 TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
 """The agents that come along, in a folder for each target, and their scores in trained.json."""
 
 
-class Policy(Acting, Protocol):
+class Home(Protocol):
+    """Where an agent belongs."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        """The body."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The environment's, `octoarm_agents.environment.SETTINGS`."""
+
+
+class Policy(Acting, Home, Protocol):
     """What `load_policy` gives: an agent that knows where it is at home."""
 
-    parameters: ArmParameters
-    settings: dict[str, Any]
     seed: int | None
 
     @property

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.whole import whole_fields, whole_number
 from octoarm_env import OctoArmVectorEnv
 
 __all__ = ["Acting", "HoldPolicy", "Noise", "Push", "Rollout", "roll_out"]
@@ -62,10 +63,7 @@ class Push:
     def __post_init__(self) -> None:
         if not 0 <= self.size < float("inf"):
             raise ValueError(f"size = {self.size}: expected a number of degrees, not negative")
-        if self.begin < 0 or self.steps < 0:
-            raise ValueError(
-                f"begin, steps = {self.begin}, {self.steps}: expected numbers that are not negative"
-            )
+        whole_fields(self, begin=0, steps=0)
 
     @classmethod
     def after_a_second(cls, size: float, control_period: float) -> Push:
@@ -90,10 +88,7 @@ class Noise:
     def __post_init__(self) -> None:
         if not 0 <= self.size < float("inf"):
             raise ValueError(f"size = {self.size}: expected metres, not negative")
-        if self.begin < 0 or (self.steps is not None and self.steps < 0):
-            raise ValueError(
-                f"begin, steps = {self.begin}, {self.steps}: expected numbers that are not negative"
-            )
+        whole_fields(self, begin=0, steps=0)
 
     def at(self, step: int) -> bool:
         """Whether it is on at a step."""
@@ -155,10 +150,9 @@ def roll_out(
         What happened; the same for a seed, to the bit, on one machine.
 
     Raises:
-        ValueError: fewer than one step.
+        ValueError: fewer than one step, or a seed below 0.
     """
-    if steps < 1:
-        raise ValueError(f"steps = {steps}: expected at least 1")
+    steps, seed = whole_number("steps", steps, 1), whole_number("seed", seed)
     count = envs.num_envs
     random = np.random.default_rng(seed)
     directions = random.uniform(0, 2 * np.pi, count)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
+from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [
@@ -171,6 +172,7 @@ class ClosedLoop:
         return outputs, np.concatenate(kept)
 
     def _run(self, steps: int, perturbation: Float | None, kept: list[Float] | None) -> Float:
+        steps = whole_number("steps", steps)
         made: list[Float] = [np.empty((0, 2))]
         for begin in range(0, steps, _CHUNK):
             if self.failure is not None:

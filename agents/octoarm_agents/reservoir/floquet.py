@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = ["TeacherRun", "floquet_exponents"]
@@ -122,9 +123,9 @@ def floquet_exponents(
     Raises:
         ValueError: the run is too short, or a count below 1.
     """
+    count, steps = whole_number("count", count, 1), whole_number("steps", steps, 1)
+    skip, begin = whole_number("skip", skip), whole_number("begin", begin)
     end = begin + skip + steps
-    if count < 1:
-        raise ValueError(f"count = {count}: expected at least 1")
     if end > len(run.lengths):
         raise ValueError(
             f"the teacher's run has {len(run.lengths)} steps, "

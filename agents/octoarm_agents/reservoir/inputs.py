@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.whole import whole_number
+
 __all__ = ["FREQUENCIES", "PEAK", "TIMESTEP", "base_angles", "product_of_sines", "smooth_noise"]
 
 Float = NDArray[np.float64]
@@ -37,7 +39,7 @@ def product_of_sines(steps: int, *, timestep: float = TIMESTEP) -> Float:
     Raises:
         ValueError: a negative number of steps.
     """
-    _check_steps(steps)
+    steps = whole_number("steps", steps)
     time = np.arange(steps) * timestep
     signal = np.full(steps, PEAK)
     for frequency in FREQUENCIES:
@@ -64,9 +66,8 @@ def smooth_noise(steps: int, random: np.random.Generator, *, hold: int = 50) -> 
     Raises:
         ValueError: a negative number of steps, or a hold below 1.
     """
-    _check_steps(steps)
-    if hold < 1:
-        raise ValueError(f"hold = {hold}: expected at least 1 timestep")
+    steps = whole_number("steps", steps)
+    hold = whole_number("hold", hold, 1)
     values = random.uniform(-PEAK, PEAK, steps // hold + 2)
     values[0] = 0.0
     index, phase = np.divmod(np.arange(steps), hold)
@@ -101,8 +102,3 @@ def base_angles(signal: Float, amplitude: float, peak: float | None = None) -> F
         raise ValueError(f"peak = {peak}: expected at least max|In| = {largest}, and above zero")
     angle = amplitude / peak * signal
     return np.column_stack((angle, angle))
-
-
-def _check_steps(steps: int) -> None:
-    if steps < 0:
-        raise ValueError(f"steps = {steps}: expected a number of timesteps, not negative")

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_agents.environment import ENV_ID, SETTINGS, check_spaces, differences, inspect_env
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_agents.reservoir.readout_file import load_readout, save_readout
+from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, TeacherPolicy
 
 __all__ = ["ReadoutPolicy", "train_policy"]
@@ -207,10 +208,8 @@ def _teach(
     parameters, settings = inspect_env(env)
     check_spaces(env)
     springs = _springs(parameters)
-    if not _is_whole(steps) or steps < springs:
-        raise ValueError(f"steps = {steps!r}: expected at least {springs}, one for each spring")
-    if not _is_whole(seed) or seed < 0:
-        raise ValueError(f"seed = {seed!r}: expected a whole number, not negative")
+    # At least one for each spring.
+    steps, seed = whole_number("steps", steps, springs), whole_number("seed", seed)
     if not 0 <= action_noise <= 1:
         raise ValueError(f"action_noise = {action_noise}: expected a number from 0 to 1")
     teaching: dict[str, Any] = {"steps": steps, "action_noise": action_noise}
@@ -237,7 +236,3 @@ def _teach(
 
 def _springs(parameters: ArmParameters) -> int:
     return 4 * parameters.compartments
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)

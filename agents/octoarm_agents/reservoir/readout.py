@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, check_X_y, validate_data
 
+from octoarm_agents.whole import whole_number
+
 __all__ = ["Readout"]
 
 Float = NDArray[np.float64]
@@ -36,7 +38,8 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
     The paper's readout has no bias. With `bias` one is fitted too; no penalty and no noise acts on
     it. All penalties are taken as they stand, whatever the number of rows.
 
-    Parameters that the method does not use must keep their defaults, so that none is forgotten.
+    Parameters that the method does not use are ignored, as scikit-learn's estimators ignore theirs,
+    so that a search may vary them together with the method.
 
     Args:
         method: see above.
@@ -44,9 +47,10 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             None: max(M, springs) · eps. A fit without penalty gives no weight to their directions;
             for all methods it decides `rank_`.
         ridge: penalty of method ``"ridge"``, in the unit of a squared length times rows [m²],
-            not negative.
-        noise: ν of method ``"noise"``, half width of the noise [m], not negative.
-        sampled: draw the noise of method ``"noise"``.
+            not negative; the other methods ignore it.
+        noise: ν of method ``"noise"``, half width of the noise [m], not negative; the other methods
+            ignore it.
+        sampled: draw the noise of method ``"noise"``; the other methods ignore it.
         bias: fit a bias too.
         washout: rows dropped at the beginning, of every sequence by `fit_sequences`.
         random_state: seed (or generator) of the noise drawn; only used with `sampled`.
@@ -183,7 +187,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         """Check the parameters, as `fit` does first.
 
         Raises:
-            ValueError: a parameter outside its range, or one that the method does not use.
+            ValueError: a parameter outside its range, even if the method does not use it.
         """
         if self.method not in METHODS:
             raise ValueError(f"method = {self.method!r}: expected one of {METHODS}")
@@ -191,15 +195,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         _check_number("noise", self.noise, "a number of metres, finite and not negative")
         if self.tolerance is not None:
             _check_number("tolerance", self.tolerance, "None or a number in [0, 1)", below=1.0)
-        whole = isinstance(self.washout, int | np.integer) and not isinstance(self.washout, bool)
-        if not whole or self.washout < 0:
-            raise ValueError(f"washout = {self.washout!r}: expected a whole number of rows >= 0")
-        for name, method in (("ridge", "ridge"), ("noise", "noise"), ("sampled", "noise")):
-            value = getattr(self, name)
-            if value and self.method != method:
-                raise ValueError(
-                    f"{name} = {value!r}: only method {method!r} uses it, not {self.method!r}"
-                )
+        whole_number("washout", self.washout)
 
     def _validate(self, lengths: ArrayLike, targets: ArrayLike) -> tuple[Float, Float]:
         """Both as finite numbers with as many rows; notes the number of springs."""
@@ -222,11 +218,13 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         rows, springs = lengths.shape
         self.single_output_ = targets.ndim == 1
         targets = targets.reshape(rows, -1).astype(np.float64, copy=False)
-        seen, ridge = lengths, float(self.ridge)
-        if self.sampled:
+        seen, ridge = lengths, 0.0
+        if self.method == "ridge":
+            ridge = float(self.ridge)
+        elif self.method == "noise" and self.sampled:
             random = self._generator()
             seen = lengths + random.uniform(-self.noise, self.noise, lengths.shape)
-        elif self.noise > 0:
+        elif self.method == "noise":
             ridge = rows * self.noise**2 / 3
 
         triangle, means = _triangle(seen, targets, _penalty_rows(penalty, springs), self.bias)

@@ -32,6 +32,7 @@ from threadpoolctl import threadpool_limits
 
 from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
 from octoarm_agents.reservoir.readout import Readout
+from octoarm_agents.whole import whole_fields
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = ["TIME_SCALES", "UNDISTURBED", "Lesson", "Taught", "Teaching", "teach"]
@@ -107,11 +108,8 @@ class Teaching:
             raise ValueError(
                 f"disturbances = {self.disturbances}: expected zeros where the noise is sampled"
             )
-        if self.washout < 0:
-            raise ValueError(f"washout = {self.washout}: expected 0 or more")
-        least = max(self.washout + 1_000, _BEGIN + _RECORDED)
-        if self.steps < least:
-            raise ValueError(f"steps = {self.steps}: expected at least {least}")
+        whole_fields(self, washout=0, seed=0)
+        whole_fields(self, steps=max(self.washout + 1_000, _BEGIN + _RECORDED))
 
 
 @dataclass(frozen=True)

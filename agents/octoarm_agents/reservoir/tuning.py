@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
 from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
+from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
 __all__ = ["Tuned", "tune"]
@@ -91,8 +92,7 @@ def tune(
         ValueError: too few evaluations, or noise that cannot be.
         DomainError: the arm cannot follow the teacher.
     """
-    if evaluations < 8:
-        raise ValueError(f"evaluations = {evaluations}: expected at least 8")
+    evaluations, seed = whole_number("evaluations", evaluations, 8), whole_number("seed", seed)
     if not (noise >= 0 and math.isfinite(noise)):
         raise ValueError(f"noise = {noise}: expected a number of degrees, not negative")
     # Sums split over threads are rounded otherwise, and the search would take another way.

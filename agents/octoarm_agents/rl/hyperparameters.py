@@ -135,13 +135,22 @@ class Hyperparameters:
             **self.arguments,
         }
 
+    @property
+    def schedules(self) -> list[str]:
+        """Names of those that fall to zero over the training, and so depend on its length."""
+        return [name for name, value in self.arguments.items() if _falls(value)]
+
     def model_arguments(self) -> dict[str, Any]:
         """Give the arguments of the algorithm's class, schedules made."""
         # A copy: stable-baselines3 adds to what it is given.
         return {name: _schedule(value) for name, value in copy.deepcopy(self.arguments).items()}
 
 
+def _falls(value: Any) -> bool:
+    return isinstance(value, str) and value.startswith("lin_")
+
+
 def _schedule(value: Any) -> Any:
-    if isinstance(value, str) and value.startswith("lin_"):
+    if _falls(value):
         return LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
     return value

@@ -10,14 +10,14 @@ environment as stable-baselines3's own `DummyVecEnv` would have it, bit by bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import deepcopy
 from typing import Any
 from warnings import warn
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 import octoarm_env  # noqa: F401, registers the environment
@@ -42,12 +42,21 @@ Info = dict[str, Any]
 _LAST_KEYS = ("final_info", "_final_info", "final_obs", "_final_obs")
 """What a vector environment adds to its infos when an episode has ended."""
 
+_CONVERTERS = {"DictInfoToList", "ArrayConversion"}
+"""Wrappers, and their subclasses, that make of infos and arrays what cannot be taken here."""
+
 
 class Sb3VecEnv(VecEnv):
     """The environments of a Gymnasium `VectorEnv` for stable-baselines3.
 
     Step by step the same as `DummyVecEnv` over the same single environments. The infos are made
-    anew at each step: numbers are Python's, arrays and observations belong to the caller.
+    anew at each step: floats are NumPy's, other numbers Python's, arrays and observations belong
+    to the caller.
+
+    Vector wrappers may add to the infos of a step, as Gymnasium's `RecordEpisodeStatistics` adds
+    ``"episode"``. Where an episode has ended, what the environment itself gives belongs to the next
+    episode, but what wrappers add to the one that has ended: it is in the info of its last step, as
+    stable-baselines3's `Monitor` has it.
 
     Where the vector environment has its single environments in a list `envs`, attributes and
     methods are looked up there. Otherwise its own `call`, `call_at`, `get_attr` and `set_attr` are
@@ -55,14 +64,17 @@ class Sb3VecEnv(VecEnv):
 
     Args:
         envs: a vector environment in autoreset mode SAME_STEP, for instance
-            `gym.make_vec("OctoArm-v0", num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)`.
+            `gym.make_vec("OctoArm-v0", num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)`,
+            however wrapped. One more layer is put below its wrappers, which sees what infos they
+            add.
 
     Attributes:
         vector_env: the vector environment.
 
     Raises:
         TypeError: `envs` is not a `VectorEnv`.
-        ValueError: its autoreset mode is another one.
+        ValueError: its autoreset mode is another one, or a wrapper turns its infos into a list or
+            its arrays into those of another library.
     """
 
     actions: NDArray[Any]
@@ -77,6 +89,7 @@ class Sb3VecEnv(VecEnv):
             raise ValueError(
                 f"envs.metadata['autoreset_mode'] = {mode}: expected AutoresetMode.SAME_STEP"
             )
+        self._own = _put_below_wrappers(envs)
         self.vector_env: Any = envs
         self._innermost: Any = envs.unwrapped
         # The base class asks for their render_mode.
@@ -117,7 +130,8 @@ class Sb3VecEnv(VecEnv):
         current = {key: infos[key] for key in infos if key not in _LAST_KEYS} if ended else infos
         rows = _rows(current, self.num_envs, {"TimeLimit.truncated": False})
         if ended:
-            self._end_episodes(ended, truncated & ~terminated, infos, rows)
+            own = infos.keys() if self._own is None else self._own.keys
+            self._end_episodes(ended, truncated & ~terminated, infos, own, rows)
         return deepcopy(observations), rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
@@ -228,16 +242,63 @@ class Sb3VecEnv(VecEnv):
         return getattr(self._innermost, "envs", None)
 
     def _end_episodes(
-        self, ended: list[int], cut_short: NDArray[np.bool_], infos: Info, rows: list[Info]
+        self,
+        ended: list[int],
+        cut_short: NDArray[np.bool_],
+        infos: Info,
+        own: Collection[str],
+        rows: list[Info],
     ) -> None:
-        """Put the last info of each episode that has ended into `rows`, the next one's aside."""
+        """Put the last info of each episode that has ended into `rows`, the next one's aside.
+
+        Args:
+            ended: indices of the environments whose episode has ended.
+            cut_short: whether by a limit of time alone, for every environment.
+            infos: of the step.
+            own: keys of those that the environment itself gave; wrappers added the others.
+            rows: what `infos` hold for every environment.
+        """
         last_rows = _rows(infos["final_info"], self.num_envs)
         for index in ended:
-            self.reset_infos[index] = rows[index]
-            del rows[index]["TimeLimit.truncated"]
-            rows[index] = last_rows[index]
+            added = {key: value for key, value in rows[index].items() if key not in own}
+            self.reset_infos[index] = {
+                key: value for key, value in rows[index].items() if key in own
+            }
+            rows[index] = last_rows[index] | added
             rows[index]["TimeLimit.truncated"] = bool(cut_short[index])
             rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
+
+
+class _OwnInfos(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Notes the keys of the infos of a step before wrappers further out add theirs."""
+
+    keys: frozenset[str] = frozenset()
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, Info]:
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        self.keys = frozenset(infos)
+        return observations, rewards, terminated, truncated, infos
+
+
+def _put_below_wrappers(envs: VectorEnv[Any, Any, Any]) -> _OwnInfos | None:
+    """Put a layer between a vector environment and its wrappers; None if it has none.
+
+    Raises:
+        ValueError: a wrapper turns the infos or arrays into something else.
+    """
+    layer = envs
+    below = None
+    while isinstance(layer, VectorWrapper):
+        if _CONVERTERS & {each.__name__ for each in type(layer).__mro__}:
+            raise ValueError(
+                f"envs is wrapped in {type(layer).__name__}: expected NumPy's arrays, and infos in "
+                "a dictionary; leave that wrapper out"
+            )
+        if not isinstance(layer.env, VectorWrapper):
+            below = layer.env = _OwnInfos(layer.env)
+            break
+        layer = layer.env
+    return below
 
 
 def make_sb3_vec_env(num_envs: int, *, seed: int | None = None, **kwargs: Any) -> Sb3VecEnv:
@@ -293,6 +354,7 @@ def _column(values: Any, count: int) -> list[Any]:
     if isinstance(values, dict):
         return _rows(values, count)
     if values.ndim == 1:
-        column: list[Any] = values.tolist()
+        # Floating-point numbers stay NumPy's, as the single environments give them.
+        column: list[Any] = list(values) if values.dtype.kind == "f" else values.tolist()
         return column
     return list(values.copy())

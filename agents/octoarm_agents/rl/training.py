@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
+from octoarm_agents.whole import whole_number
 
 __all__ = ["CHECKPOINT", "SUMMARY", "Training", "train"]
 
@@ -85,19 +87,14 @@ class Training:
         given = hyperparameters or Hyperparameters.load(algorithm)
         steps = given.steps if steps is None else steps
         num_envs = given.num_envs if num_envs is None else num_envs
-        least = {"steps": 1, "num_envs": 1, "evaluations": 1, "episodes": 1, "seed": 0}
-        values = (steps, num_envs, evaluations, episodes, seed)
-        for (name, low), value in zip(least.items(), values, strict=True):
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise ValueError(f"{name} = {value!r}: expected a whole number, at least {low}")
         return cls(
             algorithm,
             target,
-            steps,
-            seed,
-            num_envs,
-            evaluations,
-            episodes,
+            whole_number("steps", steps, 1),
+            whole_number("seed", seed),
+            whole_number("num_envs", num_envs, 1),
+            whole_number("evaluations", evaluations, 1),
+            whole_number("episodes", episodes, 1),
             dict(env or {}),
             given.entries(),
         )
@@ -108,6 +105,7 @@ def train(
     out: Path,
     *,
     resume: bool = False,
+    extend: bool = False,
     tensorboard: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -125,6 +123,12 @@ def train(
         out: folder; made if it is not there.
         resume: go on with the training in `out` from its last checkpoint; begin it if it has none.
             One that is finished is not trained again.
+        extend: with `resume`, go on with a training of fewer steps too, finished or not; it may
+            have had another number of evaluations. What is then computed is what a training of so
+            many steps would have computed from the beginning, with one exception: a hyper-parameter
+            that falls over the training (``lin_0.001``) has fallen faster so far, and now stands
+            where a training of so many steps would have it. A UserWarning names these. The curve
+            keeps its points; further ones are at the new intervals.
         tensorboard: write logs into ``out/tensorboard``.
         progress: called after every rollout with the steps done and the last evaluated return.
         command: what was typed, to be kept in the files.
@@ -133,10 +137,13 @@ def train(
         What ``training.json`` holds: the training, the curve, the best return.
 
     Raises:
-        ValueError: a target or setting that the environment refuses; a folder that holds another
-            training, or this one without `resume`; a checkpoint that is damaged.
+        ValueError: `extend` without `resume`; a target or setting that the environment refuses; a
+            folder that holds another training, or this one without `resume`; a checkpoint that is
+            damaged.
         OSError: the folder cannot be written to.
     """
+    if extend and not resume:
+        raise ValueError("extend = True: expected resume = True too")
     out.mkdir(parents=True, exist_ok=True)
     checkpoint = out / CHECKPOINT
     saved = None
@@ -144,10 +151,13 @@ def train(
         if not resume:
             raise ValueError(f"{out} holds a training: resume it, or choose another folder")
         saved = read_checkpoint(checkpoint)
-        _check_same(checkpoint, saved["training"], _plain(training))
-        finished = _finished(out, saved)
+        extended = extend and saved["training"].get("steps", training.steps) < training.steps
+        _check_same(checkpoint, saved["training"], _plain(training), extended)
+        finished = _finished(out, saved, training.steps)
         if finished is not None:
             return finished
+        if extended and saved["started"]:
+            _extend(saved, training)
     # Sums that threads share are rounded otherwise, and networks so small gain nothing by them.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -185,6 +195,7 @@ class _Run:
         self.best: dict[str, Any] | None = None
         self.seconds = 0.0
         self.resumed = 0
+        self.extended: list[dict[str, Any]] = []
         self.model: Any = None
 
     def run(
@@ -233,6 +244,7 @@ class _Run:
             **_plain(self.training),
             "trained_steps": self.model.num_timesteps,
             "command": self.command,
+            "extended": self.extended,
         }
         return NetworkPolicy(
             export_network(self.model, self.envs),
@@ -284,6 +296,7 @@ class _Run:
             "final": self.curve[-1],
             "seconds": self.seconds,
             "resumed": self.resumed,
+            "extended": self.extended,
             "parameters": self.policy().parameter_count,
             "machine": describe_machine(),
             "versions": package_versions(
@@ -309,6 +322,7 @@ class _Run:
                 "best": self.best,
                 "seconds": self.seconds,
                 "resumed": self.resumed,
+                "extended": self.extended,
                 "normalization": self.envs if started else None,
                 "normalized_returns": self.envs.returns,
                 "episode_returns": self.monitor.episode_returns if started else None,
@@ -325,6 +339,7 @@ class _Run:
     def restore(self, kind: Any, saved: dict[str, Any]) -> None:
         self.curve, self.best = saved["curve"], saved["best"]
         self.seconds, self.resumed = saved["seconds"], saved["resumed"] + 1
+        self.extended = saved.get("extended", [])
         if saved["started"]:
             # The arms must have begun before they can go on.
             self.monitor.reset()
@@ -387,7 +402,10 @@ def _plain(training: Training) -> dict[str, Any]:
     return plain
 
 
-def _check_same(file: Path, saved: dict[str, Any], wanted: dict[str, Any]) -> None:
+def _check_same(file: Path, saved: dict[str, Any], wanted: dict[str, Any], extended: bool) -> None:
+    """Raise a ValueError where two trainings differ, but for their length if one is extended."""
+    if extended:
+        saved, wanted = (_without_length(each) for each in (saved, wanted))
     found = [
         f"{name} is {saved.get(name)!r} there and {value!r} here"
         for name, value in wanted.items()
@@ -397,10 +415,32 @@ def _check_same(file: Path, saved: dict[str, Any], wanted: dict[str, Any]) -> No
         raise ValueError(f"{file} is of another training: {'; '.join(found)}")
 
 
-def _finished(out: Path, saved: dict[str, Any]) -> dict[str, Any] | None:
-    """What a training that has ended left; None if it has not."""
+def _without_length(training: dict[str, Any]) -> dict[str, Any]:
+    """A training but for what says how long it is and how often it is looked at."""
+    rest = {key: training[key] for key in training if key not in ("steps", "evaluations")}
+    given = rest["hyperparameters"]
+    return rest | {"hyperparameters": {key: given[key] for key in given if key != "n_timesteps"}}
+
+
+def _extend(saved: dict[str, Any], training: Training) -> None:
+    """Note in a checkpoint's state that it goes on for longer; warn of what depends on that."""
+    schedules = Hyperparameters.from_entries(training.hyperparameters).schedules
+    before = saved["training"]["steps"]
+    entry = {"from_steps": before, "to_steps": training.steps, "schedules": schedules}
+    saved["extended"] = [*saved.get("extended", []), entry]
+    if schedules:
+        warn(
+            f"{', '.join(schedules)} of {training.algorithm} falls to zero over the whole training,"
+            f" of {before:,} steps so far and now of {training.steps:,}: the result is not that of"
+            f" a training of {training.steps:,} steps from the beginning",
+            stacklevel=3,
+        )
+
+
+def _finished(out: Path, saved: dict[str, Any], steps: int) -> dict[str, Any] | None:
+    """What a training that has ended left; None if it has not made so many steps."""
     curve = saved["curve"]
-    if not curve or curve[-1]["steps"] < saved["training"]["steps"]:
+    if not curve or curve[-1]["steps"] < steps:
         return None
     try:
         summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))

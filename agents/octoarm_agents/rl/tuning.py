@@ -18,6 +18,7 @@ from octoarm_agents.files import write_json, write_text
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.rl.hyperparameters import Hyperparameters
 from octoarm_agents.rl.training import Training, train
+from octoarm_agents.whole import whole_number
 
 __all__ = ["TRIAL_STEPS", "sample", "tune_algorithm"]
 
@@ -105,9 +106,11 @@ def tune_algorithm(
 
     if trials is None and minutes is None:
         raise ValueError("trials = None and minutes = None: expected at least one of them")
-    for name, value in {"trials": trials, "minutes": minutes, "steps": steps}.items():
-        if value is not None and not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+    if minutes is not None and not minutes > 0:
+        raise ValueError(f"minutes = {minutes}: expected a positive number")
+    trials = None if trials is None else whole_number("trials", trials, 1)
+    steps = None if steps is None else whole_number("steps", steps, 1)
+    seed = whole_number("seed", seed)
     start = Hyperparameters.load(algorithm)
     steps = steps or TRIAL_STEPS[algorithm]
     out.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,76 @@
+"""`octoarm evaluate`, and the names by which every command knows its agents."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from octoarm_agents.environment import TARGETS
+from octoarm_agents.policies import trained_agents
+from octoarm_agents.policies.evaluation import TRIVIAL
+
+from octoarm_env import ArmParameters
+
+SHORT = ("--episodes", 2, "--steps", 20)
+
+
+def rows(octoarm: Any, out: Path, *arguments: object) -> list[dict[str, Any]]:
+    done = octoarm("evaluate", *arguments, *SHORT, "--out", out)
+    assert done.exit_code == 0, done.output
+    found: list[dict[str, Any]] = json.loads(out.read_text(encoding="utf-8"))["rows"]
+    return found
+
+
+@pytest.mark.parametrize("agent", TRIVIAL)
+def test_trivial_agents_by_name(octoarm: Any, tmp_path: Path, agent: str) -> None:
+    found = rows(octoarm, tmp_path / "a.json", f"{agent}/lissajous")
+    # Itself, and the other one beside it.
+    assert [(row["agent"], row["target"]) for row in found] == [
+        (f"{agent}/lissajous", "lissajous"),
+        *((each, "lissajous") for each in TRIVIAL if each != agent),
+    ]
+    beside = rows(octoarm, tmp_path / "b.json", "readout_pinv/lissajous")
+    same = next(row for row in beside if row["agent"] == agent)
+    assert same | {"agent": found[0]["agent"]} == found[0]
+
+
+def test_trivial_agents_stand_once_in_every_home(octoarm: Any, tmp_path: Path) -> None:
+    names = ["readout_pinv/quadratic", "hold/quadratic", "readout_ridge/quadratic"]
+    names += ["readout_pinv/lissajous"]
+    found = rows(octoarm, tmp_path / "a.json", *names)
+    assert [(row["agent"], row["target"]) for row in found[4:]] == [
+        ("clock", "quadratic"),
+        ("hold", "lissajous"),
+        ("clock", "lissajous"),
+    ]
+
+
+def test_another_body_is_everyone_s(octoarm: Any, tmp_path: Path) -> None:
+    ArmParameters(arm_density=1100.0).to_json(tmp_path / "heavy.json")
+    names = ("hold/quadratic", "readout_ridge/quadratic")
+    own = rows(octoarm, tmp_path / "a.json", *names)
+    other = rows(octoarm, tmp_path / "b.json", *names, "--arm", tmp_path / "heavy.json")
+    assert len(own) == len(other) == 3
+    assert own[1]["tracking_error"] < other[1]["tracking_error"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("evaluate",), ("watch",), ("record", "--out", "a.gif"), ("inspect", "--out", "a.rrd")],
+    ids=lambda command: command[0],
+)
+@pytest.mark.parametrize("name", ["hold/square", "ppo/square", "nobody", "hold"])
+def test_unknown_agents_are_answered_with_all_that_are_known(
+    octoarm: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: Any, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = octoarm(command[0], name, *command[1:])
+    assert done.exit_code == 2
+    assert f"'{name}' is neither a file nor one of" in done.output
+    words = done.output.replace(",", " ").replace(".", " ").split()
+    for agent, target in trained_agents():
+        assert f"{agent}/{target}" in words
+    for target in TARGETS:
+        assert {f"{kind}/{target}" for kind in TRIVIAL} <= set(words)
