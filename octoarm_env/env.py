@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed
-from octoarm_env.episode import EpisodeCore, with_numpy_scalars
+from octoarm_env.episode import EpisodeCore
 from octoarm_env.parameters import BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
@@ -222,7 +222,6 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             self._core.seed(int(self.np_random.integers(2**63)))
         self._seeded = True
         observation, info = self._core.reset(phase)
-        with_numpy_scalars(info)
         if self._history is not None:
             self._history.begin(info)
             self._show(self._history)
@@ -244,7 +243,6 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
                 before `reset` or after the end of the episode; nothing is changed then.
         """
         observation, reward, terminated, info = self._core.step(action)
-        with_numpy_scalars(info)
         if self._history is not None:
             self._history.add(info, reward)
             self._show(self._history)

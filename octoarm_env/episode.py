@@ -7,15 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["EpisodeCore", "with_numpy_scalars"]
+__all__ = ["EpisodeCore"]
 
 Float = NDArray[np.float64]
-
-
-def with_numpy_scalars(info: dict[str, Any]) -> None:
-    """Make the info's numbers NumPy's, as its arrays are: some readers ask all for their dtype."""
-    for key in ("tracking_error", "reward_tracking", "reward_action_change"):
-        info[key] = np.float64(info[key])
 
 
 class EpisodeCore(Protocol):
