@@ -116,7 +116,7 @@ def test_states() -> None:
     batch.states = saved
     assert np.array_equal(batch.run(drives(3)[:, :100]).lengths, first.lengths)
     now = batch.states
-    with pytest.raises(ValueError, match="states has 2 entries, expected 3"):
+    with pytest.raises(ValueError, match=r"states has shape \(2,\), expected \(3,\)"):
         batch.states = saved[:2]
     bad = copy.deepcopy(saved)
     bad[2].coordinates[4, 1] = 3.0
