@@ -1,4 +1,4 @@
-"""Numbers among arguments; what does not fit is refused by name, value and range."""
+"""Plain arguments; what does not fit is refused by name, value and range."""
 
 from __future__ import annotations
 
@@ -8,7 +8,21 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["generator_seed", "number", "thread_count", "whole_number"]
+__all__ = ["actuator_name", "flag", "generator_seed", "number", "thread_count", "whole_number"]
+
+
+def actuator_name(value: Any) -> str:
+    """Give the name of an actuator."""
+    if not isinstance(value, str) or value not in ("direct", "servo"):
+        raise ValueError(f"actuator = {value!r}: expected 'servo' or 'direct'")
+    return value
+
+
+def flag(name: str, value: Any) -> bool:
+    """Give True or False; a text or a number is neither."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name} = {value!r}: expected True or False")
+    return bool(value)
 
 
 def generator_seed(seed: int) -> int:

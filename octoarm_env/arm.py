@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
-from octoarm_env.arguments import whole_number
+from octoarm_env.arguments import actuator_name, flag, whole_number
 from octoarm_env.parameters import ArmParameters, BodyLike
 
 Float = NDArray[np.float64]
@@ -106,7 +106,9 @@ class Arm:
     ) -> None:
         self._parameters = ArmParameters.of(parameters)
         self._actuator: Literal["direct", "servo"] = actuator
-        self._core = _core.Arm(self._parameters.to_json(), actuator, undeformed)
+        self._core = _core.Arm(
+            self._parameters.to_json(), actuator_name(actuator), flag("undeformed", undeformed)
+        )
 
     @property
     def parameters(self) -> ArmParameters:
@@ -127,7 +129,7 @@ class Arm:
         Returns:
             The spring lengths, (4 N,) [m].
         """
-        self._core.reset(undeformed)
+        self._core.reset(flag("undeformed", undeformed))
         return self._core.lengths
 
     def step(self, theta: float, phi: float) -> Float:
@@ -140,7 +142,10 @@ class Arm:
             ValueError: an angle that is not finite or beyond ±3600 degrees.
             DomainError: see the class.
         """
-        return self._core.step(theta, phi)
+        try:
+            return self._core.step(theta, phi)
+        except OverflowError:
+            raise ValueError("theta or phi is beyond the allowed range [-3600, 3600]") from None
 
     def run(self, angles: ArrayLike) -> Float:
         """Follow a sequence of commands, one a physics step.

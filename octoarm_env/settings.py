@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from octoarm_env.arguments import number
+from octoarm_env.arguments import actuator_name, number
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
 
@@ -82,7 +82,7 @@ def episode_settings(
             "target": _target(target),
             "amplitude": None if amplitude is None else number("amplitude", amplitude),
             "control_period": number("control_period", control_period),
-            "actuator": _actuator(actuator),
+            "actuator": actuator_name(actuator),
             "arm": ArmParameters.of(arm).to_dict(),
             "action_range": None if action_range is None else number("action_range", action_range),
             "tracking_weight": number("tracking_weight", tracking_weight),
@@ -106,12 +106,6 @@ def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     if "phase" not in options:
         return None
     return number("options['phase']", options["phase"])
-
-
-def _actuator(value: Any) -> str:
-    if value not in ("servo", "direct"):
-        raise ValueError(f"actuator = {value!r}: expected 'servo' or 'direct'")
-    return str(value)
 
 
 def _target(value: Any) -> str | list[list[float]]:
