@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.box import SIMPLE, SQUARE
+from rich.markup import escape
 from rich.table import Table
 
 from octoarm_agents.analysis.measures import Measures
@@ -15,17 +16,24 @@ __all__ = ["measures_table", "survey_table", "sweep_table"]
 def measures_table(result: Measures) -> Table:
     """The measures of a recording."""
     memory, processing = result.memory, result.processing
-    table = _table(f"{result.rows} rows, {result.states} states")
+    table = _table(f"{result.rows} {result.sampling.unit}, {result.states} states")
+    for what, names in (("states", result.state_names), ("input", result.input_names)):
+        if not names[0].isdigit():
+            shown = names if len(names) < 3 else (names[0], "…", names[-1])
+            table.add_row(what, escape(", ".join(shown)))
+    counted = result.sampling.rows
     first, last = memory.training_rows[0] + 1, memory.test_rows[1]
-    table.add_row("rows used (counted from 1)", f"{first} to {last}")
+    table.add_row(f"{counted} used (counted from 1)", f"{first} to {last}")
     table.add_row(
-        f"memory capacity, delays 1 to {result.settings.max_delay}", f"{memory.total:.3f}"
+        f"memory capacity, delays 1 to {result.settings.max_delay}", _sum(result, memory.total)
     )
     test = memory.test_rows
-    table.add_row(f"the same on rows {test[0] + 1} to {test[1]}", f"{memory.held_out_total:.3f}")
-    table.add_row("information processing capacity", f"{processing.total:.3f}")
+    table.add_row(
+        f"the same on {counted} {test[0] + 1} to {test[1]}", _sum(result, memory.held_out_total)
+    )
+    table.add_row("information processing capacity", _sum(result, processing.total))
     everything = sum(processing.unselected_by_degree)
-    table.add_row("the same, insignificant functions included", f"{everything:.3f}")
+    table.add_row("the same, insignificant functions included", _sum(result, everything))
     for degree, (value, delay, tried, counted) in enumerate(
         zip(
             processing.by_degree,
@@ -88,6 +96,12 @@ def sweep_table(quantity: Quantity, points: list[SweepPoint]) -> Table:
             cells = ["none" if figure is None else f"{figure:.4g}" for figure in figures]
         table.add_row(f"{point.value:g}", *cells)
     return table
+
+
+def _sum(result: Measures, value: float) -> str:
+    """A sum of capacities; one that cannot be says so, and the warnings say why."""
+    impossible = value in result.impossible.values()
+    return f"{'impossible: ' * impossible}{value:.3f}"
 
 
 def _table(title: str, *headings: str) -> Table:
