@@ -189,7 +189,10 @@ class CsvFile:
             low, high = int(numbered[1]), int(numbered[2] or numbered[1])
             if 1 <= low <= high <= len(self.names):
                 return range(low - 1, high)
-        raise ValueError(f"{option} {item!r}: no such column; {self.columns}")
+        hint = (
+            "" if len(self.names) > 1 else "; is it the header? If not, --skip-lines leaves it out"
+        )
+        raise ValueError(f"{option} {item!r}: no such column; {self.columns}{hint}")
 
     def numbers(self, columns: Sequence[int]) -> Float:
         """Some columns (T, k); NaN where a cell is empty or says that there is no number.

@@ -18,7 +18,6 @@ __all__ = ["BLUE", "GREEN", "GREY", "VERMILLION", "degree_colours", "draw_analys
 # Okabe and Ito's colours, told apart by all common kinds of colour vision.
 BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#767676"
 
-
 _IMPOSSIBLE = "\nimpossible: see the warnings"
 
 
@@ -78,7 +77,8 @@ def _draw_memory(axes: Axes, measures: Measures) -> None:
     axes.set(xlim=(-0.5, measures.settings.max_delay + 0.5), ylim=(-0.02, 1.05))
     axes.set_xlabel(f"delay k ({measures.sampling.unit})")
     axes.set_ylabel("memory capacity $MC_k$")
-    impossible = {memory.total, memory.held_out_total} & set(measures.impossible.values())
+    names = {"memory capacity", "memory capacity on held-out rows"}
+    impossible = names & measures.impossible.keys()
     _legend(
         axes,
         f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}"
@@ -108,7 +108,7 @@ def _draw_processing(axes: Axes, measures: Measures) -> None:
     axes.set_xlim(-0.6, (used[-1] if len(used) else 0) + 2.5)
     axes.set_xlabel(f"oldest input in the function ({measures.sampling.unit})")
     axes.set_ylabel("information processing capacity")
-    impossible = processing.total in measures.impossible.values()
+    impossible = "information processing capacity" in measures.impossible
     _legend(
         axes,
         f"sum = {processing.total:.2f} of at most {processing.expected_maximum:.2f}"

@@ -103,23 +103,27 @@ class Measures:
         return len(self.state_names)
 
     @property
+    def sums(self) -> dict[str, float]:
+        """All sums of capacities, by their names."""
+        return {
+            "memory capacity": self.memory.total,
+            "memory capacity on held-out rows": self.memory.held_out_total,
+            "information processing capacity": self.processing.total,
+            "information processing capacity, insignificant functions included": sum(
+                self.processing.unselected_by_degree
+            ),
+        }
+
+    @property
     def impossible(self) -> dict[str, float]:
         """The sums of capacities above what an independent input allows (Dambre et al. 2012).
 
         Capacities for functions that are orthogonal to each other cannot sum to more than the
         number of independent states, with sensor noise to less.
         """
-        sums = {
-            "memory capacity": self.memory.total,
-            "memory capacity on held-out rows": self.memory.held_out_total,
-            "information processing capacity": self.processing.total,
-            "information processing capacity with insignificant functions": sum(
-                self.processing.unselected_by_degree
-            ),
-        }
         # As the numbers are printed.
         largest = self.processing.expected_maximum + 5e-4
-        return {name: value for name, value in sums.items() if value > largest}
+        return {name: value for name, value in self.sums.items() if value > largest}
 
     @property
     def effective_rank(self) -> float:
@@ -162,7 +166,7 @@ class Measures:
         return notes
 
     def _why_impossible(self) -> str:
-        sums = ", ".join(f"{name} {value:.3f}" for name, value in self.impossible.items())
+        sums = "; ".join(f"{name} {value:.3f}" for name, value in self.impossible.items())
         independent = self.correlated is None and all(
             distribution.independent for distribution in self.processing.distributions
         )

@@ -123,7 +123,7 @@ class Recording:
         """Refuse a recording too short for `washout` rows, delays up to `delay`, and a fit.
 
         Raises:
-            ValueError: names the needed length.
+            ValueError: names the needed length, or an input that is constant after the washout.
         """
         for name, value in (("washout", washout), ("delay", delay)):
             if value < 0:
@@ -136,6 +136,12 @@ class Recording:
                 f"{len(self)} {self.sampling.unit} are too few: needed are {needed}, a washout of "
                 f"{washout}, the largest delay of {delay}, and {samples} samples for {states} "
                 "states"
+            )
+        constant = np.flatnonzero(np.ptp(self.inputs[washout:], axis=0) == 0)
+        if len(constant):
+            raise ValueError(
+                f"input: {name_column(self.input_names[constant[0]])} is constant after the "
+                f"washout of {washout} {self.sampling.rows}: there is nothing to remember"
             )
 
 

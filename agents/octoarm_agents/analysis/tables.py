@@ -17,23 +17,28 @@ def measures_table(result: Measures) -> Table:
     """The measures of a recording."""
     memory, processing = result.memory, result.processing
     table = _table(f"{result.rows} {result.sampling.unit}, {result.states} states")
-    for what, names in (("states", result.state_names), ("input", result.input_names)):
-        if not names[0].isdigit():
-            shown = names if len(names) < 3 else (names[0], "…", names[-1])
-            table.add_row(what, escape(", ".join(shown)))
-    counted = result.sampling.rows
+    for kind, columns in (("states", result.state_names), ("input", result.input_names)):
+        if not columns[0].isdigit():
+            shown = columns if len(columns) < 3 else (columns[0], "…", columns[-1])
+            table.add_row(kind, escape(", ".join(shown)))
+    rows = result.sampling.rows
     first, last = memory.training_rows[0] + 1, memory.test_rows[1]
-    table.add_row(f"{counted} used (counted from 1)", f"{first} to {last}")
+    table.add_row(f"{rows} used (counted from 1)", f"{first} to {last}")
     table.add_row(
-        f"memory capacity, delays 1 to {result.settings.max_delay}", _sum(result, memory.total)
+        f"memory capacity, delays 1 to {result.settings.max_delay}", _sum(result, "memory capacity")
     )
     test = memory.test_rows
     table.add_row(
-        f"the same on {counted} {test[0] + 1} to {test[1]}", _sum(result, memory.held_out_total)
+        f"the same on {rows} {test[0] + 1} to {test[1]}",
+        _sum(result, "memory capacity on held-out rows"),
     )
-    table.add_row("information processing capacity", _sum(result, processing.total))
-    everything = sum(processing.unselected_by_degree)
-    table.add_row("the same, insignificant functions included", _sum(result, everything))
+    table.add_row(
+        "information processing capacity", _sum(result, "information processing capacity")
+    )
+    table.add_row(
+        "the same, insignificant functions included",
+        _sum(result, "information processing capacity, insignificant functions included"),
+    )
     for degree, (value, delay, tried, counted) in enumerate(
         zip(
             processing.by_degree,
@@ -98,10 +103,9 @@ def sweep_table(quantity: Quantity, points: list[SweepPoint]) -> Table:
     return table
 
 
-def _sum(result: Measures, value: float) -> str:
+def _sum(result: Measures, name: str) -> str:
     """A sum of capacities; one that cannot be says so, and the warnings say why."""
-    impossible = value in result.impossible.values()
-    return f"{'impossible: ' * impossible}{value:.3f}"
+    return f"{'impossible: ' * (name in result.impossible)}{result.sums[name]:.3f}"
 
 
 def _table(title: str, *headings: str) -> Table:
