@@ -34,7 +34,7 @@ _UNIT = re.compile(r"\s*(?:\[(?P<a>.*)\]|\((?P<b>.*)\)|\s/\s(?P<c>.*))$")
 
 class _NotANumberError(ValueError):
     def __init__(self, place: str, cell: str) -> None:
-        super().__init__(f"{place}: {cell!r} is not a number")
+        super().__init__(f"{place}: {cell[:60]!r} is not a number")
         self.place, self.cell = place, cell
 
 
@@ -106,7 +106,10 @@ class CsvFile:
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         """Line number, counted from 1, and cells of each row that is not blank."""
-        reader = csv.reader(self._lines, delimiter=self._delimiter, skipinitialspace=True)
+        # Strict: a lost quotation mark would swallow all rows up to the next one.
+        reader = csv.reader(
+            self._lines, delimiter=self._delimiter, skipinitialspace=True, strict=True
+        )
         try:
             for cells in reader:
                 if cells and (len(cells) > 1 or cells[0].strip()):
@@ -120,6 +123,11 @@ class CsvFile:
         for line, cells in self._rows():
             if line < self._begin:
                 continue
+            if any("\n" in cell or "\r" in cell for cell in cells):
+                raise ValueError(
+                    f"{self.path}: the row that ends in line {line} has a line break in a cell: "
+                    "a quotation mark is missing"
+                )
             if len(cells) < width or any(cell.strip() for cell in cells[width:]):
                 found = max(len(_strip(cells)), min(len(cells), width))
                 hint = "; lines before the table are left out by --skip-lines"
@@ -246,11 +254,11 @@ class CsvFile:
         unit = _UNIT.search(self.names[column])
         try:
             values = self.numbers([column])[:, 0]
-            gaps = int(np.isnan(values).sum())
+            gaps = int((~np.isfinite(values)).sum())
             if gaps:
                 raise ValueError(
                     f"{self.path}: {gaps} of {len(values)} cells of the time column "
-                    f"{self.names[column]!r} are empty"
+                    f"{self.names[column]!r} are no times"
                 )
             return values - values[0], next(filter(None, unit.groups()), "") if unit else ""
         except ValueError as error:

@@ -259,6 +259,8 @@ def _one_row_a_value(
     rows = np.arange(len(inputs))
     if hold is not None and hold > 1:
         rows, misfits = last_rows_of_holds(inputs, hold)
+        if not len(rows):
+            raise ValueError(f"--hold {hold}: no whole hold in {len(inputs)} rows")
         if misfits:
             notes.append(f"{misfits} holds of the input are not about {hold} rows long.")
     held = {
