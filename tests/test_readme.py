@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from documents import check_links, code_blocks, read_page, run_python
 
-ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.S)
-COMMANDS = [block.strip() for block in re.findall(r"```sh\n(.*?)```", README, re.S)]
+EXAMPLES = code_blocks("README.md", "python")
 
 
 @pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))
 def test_example_runs_as_printed(code: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    error = re.search(r"tracking error (\S+)", done.stdout)
+    output = run_python(code, tmp_path)
+    error = re.search(r"tracking error (\S+)", output)
     assert error is None or float(error[1]) < 1e-4
-    earned = re.search(r"return (\S+) of 500", done.stdout)
+    earned = re.search(r"return (\S+) of 500", output)
     assert earned is None or float(earned[1]) > 490
 
 
 def test_two_commands() -> None:
-    assert len(COMMANDS) == 2
-    assert COMMANDS[0].endswith("pip install . ./agents && octoarm demo")
-    assert COMMANDS[1] in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    start, everything = (block.strip() for block in code_blocks("README.md", "sh"))
+    assert start.endswith("pip install . ./agents && octoarm demo")
+    assert everything in read_page(".ci/run")
 
 
 def test_pictures_exist() -> None:
-    for path in re.findall(r"\]\((docs/[^)]+)\)", README):
-        assert (ROOT / path).is_file(), path
+    check_links("README.md")

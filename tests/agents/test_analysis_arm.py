@@ -177,6 +177,9 @@ def test_the_sweep_command_writes_table_and_figure(octoarm, tmp_path):
     assert [point["value"] for point in content["points"]] == [3.0, 200.0]
     assert content["points"][0]["memory_capacity"] > 0
     assert "memory_capacity" not in content["points"][1]
+    warnings = content["points"][0]["warnings"]
+    assert any("The memory does not end within 10 rows" in warning for warning in warnings)
+    assert all(f"range 3: {warning}" in run.stdout for warning in warnings)
     with Image.open(tmp_path / "analysis.png") as image:
         assert min(image.size) > 800
 

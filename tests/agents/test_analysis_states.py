@@ -5,7 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from octoarm_agents.analysis.states import Recording, read_recording
+from octoarm_agents.analysis.recording_file import read_recording
+from octoarm_agents.analysis.states import Recording
 from PIL import Image
 
 ROWS = 400
@@ -64,7 +65,11 @@ def test_the_command_measures_a_log(octoarm, tmp_path, arrays):
     assert processing["inputs"][0]["family"] == "legendre"
     assert processing["thresholds_from"] == "3 shuffled inputs"
     assert content["rank"]["numerical"] == 3
-    assert content["warnings"] == []
+    # 382 rows and three shuffles let one function too many count; that is said.
+    (warning,) = content["warnings"]
+    assert warning.startswith("Impossible: information processing capacity 3.1")
+    assert "sampling error" in warning
+    assert "impossible: 3.1" in run.stdout
     with Image.open(out / "analysis.png") as image:
         assert min(image.size) > 800
     assert sorted(path.name for path in out.iterdir()) == ["analysis.json", "analysis.png"]
@@ -109,11 +114,11 @@ def test_what_is_wrong_with_a_recording_is_said(octoarm, tmp_path, arrays, spoil
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.csv", "x,y\n1,2\n3,oops\n", "line 3, column 2: 'oops' is not a number"),
-        ("a.csv", "1,2\n3\n", "line 2 has 1 columns, the first row 2"),
+        ("a.csv", "x,y\n1,2\n3,oops\n", "line 3, column 2 ('y'): 'oops' is not a number"),
+        ("a.csv", "1,2\n3\n", "line 2 has 1 columns, the table 2"),
         ("a.csv", "x,y\n", "no rows of numbers"),
         ("a.csv", "", "no rows of numbers"),
-        ("a.txt", "1,2\n", "expected a file ending in .npy, .npz or .csv"),
+        ("a.json", "1,2\n", "expected a file ending in .npy, .npz, .csv, .tsv, .txt"),
         ("a.npy", "not an array", "a.npy: "),
         ("a.npz", "not an archive", "a.npz: "),
     ],
@@ -121,8 +126,9 @@ def test_what_is_wrong_with_a_recording_is_said(octoarm, tmp_path, arrays, spoil
 def test_what_is_wrong_with_a_file_is_said(tmp_path, name, text, message):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
+    np.save(tmp_path / "input.npy", np.arange(9.0))
     with pytest.raises(ValueError, match=re.escape(message)):
-        read_recording(path, path)
+        read_recording(path, tmp_path / "input.npy")
 
 
 def test_missing_parts_are_named(tmp_path, arrays):

@@ -18,6 +18,8 @@ __all__ = ["BLUE", "GREEN", "GREY", "VERMILLION", "degree_colours", "draw_analys
 # Okabe and Ito's colours, told apart by all common kinds of colour vision.
 BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#767676"
 
+_IMPOSSIBLE = "\nimpossible: see the warnings"
+
 
 def draw_analysis(measures: Measures, survey: ArmSurvey | None = None) -> Figure:
     """Draw the measures of a recording; of a whole survey also ranks and the echo-state test."""
@@ -73,9 +75,15 @@ def _draw_memory(axes: Axes, measures: Measures) -> None:
             label=f"all rows, without bias{several}",
         )
     axes.set(xlim=(-0.5, measures.settings.max_delay + 0.5), ylim=(-0.02, 1.05))
-    axes.set_xlabel("delay k (rows)")
+    axes.set_xlabel(f"delay k ({measures.sampling.unit})")
     axes.set_ylabel("memory capacity $MC_k$")
-    _legend(axes, f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}")
+    names = {"memory capacity", "memory capacity on held-out rows"}
+    impossible = names & measures.impossible.keys()
+    _legend(
+        axes,
+        f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}"
+        f"{_IMPOSSIBLE if impossible else ''}",
+    )
 
 
 def _draw_processing(axes: Axes, measures: Measures) -> None:
@@ -98,9 +106,14 @@ def _draw_processing(axes: Axes, measures: Measures) -> None:
     # A false alarm at a large delay shall not press all else to the side.
     used = np.flatnonzero(base > 0.01 * base.max())
     axes.set_xlim(-0.6, (used[-1] if len(used) else 0) + 2.5)
-    axes.set_xlabel("oldest input in the function (rows)")
+    axes.set_xlabel(f"oldest input in the function ({measures.sampling.unit})")
     axes.set_ylabel("information processing capacity")
-    _legend(axes, f"sum = {processing.total:.2f} of at most {processing.expected_maximum:.2f}")
+    impossible = "information processing capacity" in measures.impossible
+    _legend(
+        axes,
+        f"sum = {processing.total:.2f} of at most {processing.expected_maximum:.2f}"
+        f"{_IMPOSSIBLE if impossible else ''}",
+    )
 
 
 def _draw_dimension(axes: Axes, measures: Measures, survey: ArmSurvey | None) -> None:

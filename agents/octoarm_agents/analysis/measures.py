@@ -15,9 +15,9 @@ from octoarm_agents.analysis.information_processing_capacity import (
     information_processing_capacity,
 )
 from octoarm_agents.analysis.memory_capacity import MemoryCapacity, memory_capacity
-from octoarm_agents.analysis.polynomials import Family
+from octoarm_agents.analysis.polynomials import Family, correlated_inputs
 from octoarm_agents.analysis.rank import numerical_rank, participation_ratio
-from octoarm_agents.analysis.states import Recording
+from octoarm_agents.analysis.states import Recording, Sampling
 
 __all__ = ["Advance", "MeasureSettings", "Measures", "measure"]
 
@@ -68,22 +68,62 @@ class Measures:
     Attributes:
         settings: how it was measured.
         rows: of the recording, washout included.
-        inputs: number of inputs.
-        states: number of states.
+        sampling: what a row stands for.
+        state_names: of each state.
+        input_names: of each input.
         constant_states: those that never change.
         singular_values: of the centred states after the washout, descending.
         memory: linear memory capacity.
         processing: information processing capacity.
+        correlated: the two inputs with the largest correlation, if it is no chance: their numbers,
+            counted from 0, and the correlation.
+        notes: of the recording.
     """
 
     settings: MeasureSettings
     rows: int
-    inputs: int
-    states: int
+    sampling: Sampling
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
     constant_states: int
     singular_values: Float
     memory: MemoryCapacity
     processing: InformationProcessingCapacity
+    correlated: tuple[int, int, float] | None
+    notes: tuple[str, ...]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.input_names)
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+    @property
+    def sums(self) -> dict[str, float]:
+        """All sums of capacities, by their names."""
+        return {
+            "memory capacity": self.memory.total,
+            "memory capacity on held-out rows": self.memory.held_out_total,
+            "information processing capacity": self.processing.total,
+            "information processing capacity, insignificant functions included": sum(
+                self.processing.unselected_by_degree
+            ),
+        }
+
+    @property
+    def impossible(self) -> dict[str, float]:
+        """The sums of capacities above what an independent input allows (Dambre et al. 2012).
+
+        Capacities for functions that are orthogonal to each other cannot sum to more than the
+        number of independent states, with sensor noise to less.
+        """
+        # As the numbers are printed.
+        largest = self.processing.expected_maximum + 5e-4
+        return {name: value for name, value in self.sums.items() if value > largest}
 
     @property
     def effective_rank(self) -> float:
@@ -98,7 +138,7 @@ class Measures:
     @property
     def warnings(self) -> list[str]:
         """What the reader of the figures should know."""
-        notes = []
+        notes = list(self.notes)
         for column, distribution in enumerate(self.processing.distributions, start=1):
             if not distribution.independent:
                 notes.append(
@@ -107,20 +147,51 @@ class Measures:
                     f"{distribution.largest_autocorrelation:.3f}. Capacities for different delays "
                     "and degrees then overlap, and their sums count the same thing more than once."
                 )
+        if self.correlated is not None:
+            first, second, value = self.correlated
+            notes.append(
+                f"Inputs {first + 1} and {second + 1} are not independent of each other: their "
+                f"correlation is {value:.3f} at one of the delays. What one of them is remembered "
+                "by counts for the other too."
+            )
+        if self.impossible:
+            notes.append(self._why_impossible())
         if not self.memory.faded:
             notes.append(
-                f"The memory does not end within {self.settings.max_delay} rows: "
+                f"The memory does not end within {self.settings.max_delay} {self.sampling.rows}: "
                 "the memory capacity is a lower bound."
             )
         if self.constant_states:
             notes.append(f"{self.constant_states} of {self.states} states never change.")
         return notes
 
+    def _why_impossible(self) -> str:
+        sums = "; ".join(f"{name} {value:.3f}" for name, value in self.impossible.items())
+        independent = self.correlated is None and all(
+            distribution.independent for distribution in self.processing.distributions
+        )
+        reason = (
+            "No correlation of the input is seen, so that this is the sampling error of too few "
+            "rows, or the input depends on its past in a way that correlations do not show."
+            if independent
+            else "The input is not independent, as said above, and the same thing is counted more "
+            "than once: these figures are no capacities."
+        )
+        return (
+            f"Impossible: {sums}. For an independent input no sum exceeds the rank of the "
+            f"{self.states} states, here {self.processing.expected_maximum:.3f}"
+            f"{' with this noise' if self.settings.noise else ''} (Dambre et al. 2012). {reason}"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """All as plain numbers for a JSON file."""
         return {
             "settings": asdict(self.settings) | {"delays": list(self.settings.delays)},
             "rows": self.rows,
+            "rows_of_the_log_a_row": self.sampling.hold,
+            "interval": self.sampling.interval,
+            "state_names": list(self.state_names),
+            "input_names": list(self.input_names),
             "inputs": self.inputs,
             "states": self.states,
             "constant_states": self.constant_states,
@@ -170,10 +241,13 @@ def measure(
     return Measures(
         settings=settings,
         rows=len(recording),
-        inputs=recording.inputs.shape[1],
-        states=recording.states.shape[1],
+        sampling=recording.sampling,
+        state_names=recording.state_names,
+        input_names=recording.input_names,
         constant_states=recording.constant_states,
         singular_values=StateBasis(recording.states[settings.washout :]).singular_values,
         memory=memory,
         processing=processing,
+        correlated=correlated_inputs(recording.inputs[settings.washout :], settings.oldest),
+        notes=recording.notes,
     )

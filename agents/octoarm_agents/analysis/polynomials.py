@@ -9,7 +9,13 @@ import numpy as np
 from numpy.polynomial import hermite_e, legendre
 from numpy.typing import NDArray
 
-__all__ = ["Family", "InputDistribution", "describe_input", "orthonormal_polynomials"]
+__all__ = [
+    "Family",
+    "InputDistribution",
+    "correlated_inputs",
+    "describe_input",
+    "orthonormal_polynomials",
+]
 
 Float = NDArray[np.float64]
 
@@ -102,6 +108,31 @@ def describe_input(
         autocorrelation_delay=int(delays[correlations.argmax()]),
         autocorrelation_limit=limit,
     )
+
+
+def correlated_inputs(inputs: Float, max_delay: int) -> tuple[int, int, float] | None:
+    """The two inputs (T, k) with the largest correlation at any delay up to `max_delay` rows.
+
+    Returns:
+        Their numbers, counted from 0, and the absolute value of the correlation; None if it is not
+        larger than independent inputs have with a probability of 0.001.
+    """
+    from scipy.stats import norm
+
+    scaled = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
+    rows, count = inputs.shape
+    largest, tests = (0, 0, 0.0), 0
+    for delay in range(min(max_delay, rows - 2) + 1):
+        correlations = np.abs(scaled[delay:].T @ scaled[: rows - delay]) / rows
+        for first in range(count):
+            for second in range(count) if delay else range(first):
+                if first != second:
+                    tests += 1
+                    found = (first, second, float(correlations[first, second]))
+                    largest = max(largest, found, key=lambda each: each[2])
+    limit = float(norm.isf(0.001 / (2 * max(tests, 1)))) / rows**0.5
+    first, second, value = largest
+    return (min(first, second), max(first, second), value) if value > limit else None
 
 
 def orthonormal_polynomials(values: Float, degree: int, family: Family) -> Float:

@@ -1,16 +1,14 @@
-"""A recording of a reservoir, states beside input: from arrays, NumPy files or CSV files."""
+"""A recording of a reservoir, states beside input."""
 
 from __future__ import annotations
 
-import csv
-import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Recording", "read_recording"]
+__all__ = ["Recording", "Sampling", "as_table", "check_same_length", "describe_gaps", "name_column"]
 
 Float = NDArray[np.float64]
 
@@ -21,7 +19,32 @@ noise; with fewer samples than this the correction for it would be larger than m
 MINIMUM_SAMPLES = 100
 """Least number of samples of all, which the statistics of the input need."""
 
-_DELIMITERS = ",;\t"
+_MONOTONE_ROWS = 10
+"""From so many rows on a monotone column is no chance: 10 independent ones are with 2 / 10!."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What one row of a recording stands for.
+
+    Attributes:
+        hold: rows of the log; with more than one the recording has the last of each hold.
+        interval: time from one row of the recording to the next, with its unit; empty if unknown.
+    """
+
+    hold: int = 1
+    interval: str = ""
+
+    @property
+    def rows(self) -> str:
+        """The word for rows."""
+        return "rows" if self.hold == 1 else "holds"
+
+    @property
+    def unit(self) -> str:
+        """What delays are counted in."""
+        parts = [f"{self.hold} rows"] * (self.hold > 1) + [self.interval] * bool(self.interval)
+        return f"{self.rows} of {', '.join(parts)}" if parts else self.rows
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -31,45 +54,62 @@ class Recording:
     Attributes:
         states: (T, n), at least one of the n not constant, in any unit.
         inputs: (T, k), none of the k constant; a vector (T,) becomes (T, 1).
+        state_names: n names; the numbers from 1 on if none are given.
+        input_names: k names.
+        sampling: what a row stands for.
+        notes: what the reader of any measure of it should know.
 
     Raises:
         ValueError: wrong dimensions, different lengths, numbers that are not finite, a constant
-            input, or states that are all constant.
+            input, states that are all constant, or a column that is monotone: a time or a counter.
     """
 
     states: Float
     inputs: Float
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    sampling: Sampling
+    notes: tuple[str, ...]
 
-    def __init__(self, states: ArrayLike, inputs: ArrayLike) -> None:
-        given_states, given_inputs = _numbers(states, "states"), _numbers(inputs, "input")
-        if given_inputs.ndim == 1:
-            given_inputs = given_inputs[:, np.newaxis]
-        for name, values, shape in (
-            ("states", given_states, "(T, n)"),
-            ("input", given_inputs, "(T,) or (T, k)"),
-        ):
-            if values.ndim != 2 or values.shape[1] == 0:
-                raise ValueError(f"{name}: expected shape {shape}, got {np.shape(values)}")
-        if len(given_states) != len(given_inputs):
-            raise ValueError(
-                f"states have {len(given_states)} rows and the input has {len(given_inputs)}: "
-                "expected one row of states for each row of the input"
-            )
-        for name, values in (("states", given_states), ("input", given_inputs)):
-            _check_finite(name, values)
+    def __init__(
+        self,
+        states: ArrayLike,
+        inputs: ArrayLike,
+        *,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        sampling: Sampling = Sampling(),
+        notes: Sequence[str] = (),
+    ) -> None:
+        given_states, given_inputs = as_table(states, "states"), as_table(inputs, "input")
+        check_same_length(given_states, given_inputs)
         if not len(given_states):
             raise ValueError("states and input have no rows")
+        names = []
+        for what, values, given in (
+            ("states", given_states, state_names),
+            ("input", given_inputs, input_names),
+        ):
+            count = values.shape[1]
+            names.append(tuple(given or map(str, range(1, count + 1))))
+            if len(names[-1]) != count:
+                raise ValueError(f"{what}: {len(names[-1])} names for {count} columns")
+            _check_columns(what, values, names[-1])
         constant = np.flatnonzero(np.ptp(given_inputs, axis=0) == 0)
         if len(constant):
             value = given_inputs[0, constant[0]]
             raise ValueError(
-                f"input: column {constant[0] + 1} is constant ({value:g}): "
+                f"input: {name_column(names[1][constant[0]])} is constant ({value:g}): "
                 "there is nothing to remember"
             )
         if not np.ptp(given_states, axis=0).any():
             raise ValueError("states: all columns are constant")
         object.__setattr__(self, "states", given_states)
         object.__setattr__(self, "inputs", given_inputs)
+        object.__setattr__(self, "state_names", names[0])
+        object.__setattr__(self, "input_names", names[1])
+        object.__setattr__(self, "sampling", sampling)
+        object.__setattr__(self, "notes", tuple(notes))
 
     def __len__(self) -> int:
         return len(self.states)
@@ -83,7 +123,7 @@ class Recording:
         """Refuse a recording too short for `washout` rows, delays up to `delay`, and a fit.
 
         Raises:
-            ValueError: names the needed length.
+            ValueError: names the needed length, or an input that is constant after the washout.
         """
         for name, value in (("washout", washout), ("delay", delay)):
             if value < 0:
@@ -93,99 +133,80 @@ class Recording:
         needed = washout + delay + samples
         if len(self) < needed:
             raise ValueError(
-                f"{len(self)} rows are too few: needed are {needed}, a washout of {washout}, "
-                f"the largest delay of {delay}, and {samples} samples for {states} states"
+                f"{len(self)} {self.sampling.unit} are too few: needed are {needed}, a washout of "
+                f"{washout}, the largest delay of {delay}, and {samples} samples for {states} "
+                "states"
+            )
+        constant = np.flatnonzero(np.ptp(self.inputs[washout:], axis=0) == 0)
+        if len(constant):
+            raise ValueError(
+                f"input: {name_column(self.input_names[constant[0]])} is constant after the "
+                f"washout of {washout} {self.sampling.rows}: there is nothing to remember"
             )
 
 
-def read_recording(states: Path, inputs: Path | None = None) -> Recording:
-    """Read a recording from files.
-
-    Args:
-        states: a .npy file, a .npz file with the key `states`, or a .csv file with or without a
-            header line, separated by commas, semicolons or tabs.
-        inputs: the same, the key being `input`; may be left out if `states` is a .npz file that has
-            both.
+def as_table(values: ArrayLike, what: str) -> Float:
+    """States (T, n) or input (T, k), of which a vector is one column, as numbers of our own.
 
     Raises:
-        OSError: a file that cannot be read.
-        ValueError: a file of another kind or content; see also :class:`Recording`.
+        ValueError: another type or shape.
     """
-    if inputs is None:
-        if states.suffix.lower() != ".npz":
-            raise ValueError(f"{states}: an input file is needed; only a .npz file can hold both")
-        inputs = states
-    return Recording(_read(states, "states"), _read(inputs, "input"))
-
-
-def _read(path: Path, name: str) -> Float:
-    kind = path.suffix.lower()
-    if kind not in (".npy", ".npz", ".csv"):
-        raise ValueError(f"{path}: expected a file ending in .npy, .npz or .csv")
-    if kind == ".csv":
-        return _read_csv(path)
-    try:
-        # NumPy leaves a file open that it was given by name and could not read.
-        with path.open("rb") as file:
-            content = np.load(file, allow_pickle=False)
-            if kind == ".npy":
-                return _numbers(content, str(path))
-            if name not in content:
-                raise ValueError(f"has the keys {sorted(content)}, expected {name!r}")
-            return _numbers(content[name], f"key {name!r}")
-    except (ValueError, EOFError, zipfile.BadZipFile, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def _read_csv(path: Path) -> Float:
-    """All rows as numbers; a first row with anything but numbers is the header."""
-    # The mark that spreadsheets write first is no part of the first cell.
-    text = path.read_text(encoding="utf-8-sig")
-    first = text.partition("\n")[0]
-    delimiter = max(_DELIMITERS, key=first.count)
-    lines = list(csv.reader(text.splitlines(), delimiter=delimiter))
-    begin = 0 if not lines or _all_numbers(lines[0]) else 1
-    rows: list[list[float]] = []
-    for number, cells in enumerate(lines[begin:], start=begin + 1):
-        if not cells:
-            continue
-        if rows and len(cells) != len(rows[0]):
-            raise ValueError(
-                f"{path}: line {number} has {len(cells)} columns, the first row {len(rows[0])}"
-            )
-        try:
-            rows.append([float(cell) for cell in cells])
-        except ValueError:
-            column = next(c for c, cell in enumerate(cells) if not _all_numbers([cell]))
-            raise ValueError(
-                f"{path}: line {number}, column {column + 1}: {cells[column]!r} is not a number"
-            ) from None
-    if not rows:
-        raise ValueError(f"{path}: no rows of numbers")
-    return np.array(rows)
-
-
-def _all_numbers(cells: list[str]) -> bool:
-    try:
-        for cell in cells:
-            float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _numbers(values: ArrayLike, name: str) -> Float:
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
-        raise ValueError(f"{name}: expected real numbers, got the type {array.dtype}")
-    return np.array(array, dtype=np.float64)
+        raise ValueError(f"{what}: expected real numbers, got the type {array.dtype}")
+    table = np.array(array, dtype=np.float64)
+    vector_allowed = what == "input"
+    if table.ndim == 1 and vector_allowed:
+        table = table[:, np.newaxis]
+    if table.ndim != 2 or table.shape[1] == 0:
+        shape = "(T,) or (T, k)" if vector_allowed else "(T, n)"
+        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
+    return table
 
 
-def _check_finite(name: str, values: Float) -> None:
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, column = wrong[0]
+def name_column(name: str) -> str:
+    """A column in the words of an error: by its number if it has no name."""
+    return f"column {name}" if name.isdigit() else f"column {name!r}"
+
+
+def describe_gaps(what: str, values: Float, names: Sequence[str]) -> str:
+    """How many numbers of `values` (T, k), which has such, are not finite, and where."""
+    missing = ~np.isfinite(values)
+    row, column = np.argwhere(missing)[0]
+    return (
+        f"{what}: row {row + 1}, {name_column(names[column])} (counted from 1, without a header) "
+        f"is {values[row, column]}; {missing.sum()} numbers of {values.size} are missing or not "
+        f"finite, in {missing.any(axis=1).sum()} of {len(values)} rows and "
+        f"{missing.any(axis=0).sum()} of {values.shape[1]} columns"
+    )
+
+
+def check_same_length(states: Float, inputs: Float) -> None:
+    """Refuse states and input of different length."""
+    if len(states) != len(inputs):
         raise ValueError(
-            f"{name}: row {row + 1}, column {column + 1} (counted from 1, without a header) is "
-            f"{values[row, column]}; {len(wrong)} numbers of {values.size} are not finite"
+            f"states have {len(states)} rows and the input has {len(inputs)}: "
+            "expected one row of states for each row of the input"
+        )
+
+
+def _check_columns(what: str, values: Float, names: Sequence[str]) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"{describe_gaps(what, values, names)}: expected numbers; fill or leave out what is "
+            "missing"
+        )
+    if len(values) < _MONOTONE_ROWS:
+        return
+    steps = np.diff(values, axis=0)
+    rises, falls = (steps >= 0).all(axis=0), (steps <= 0).all(axis=0)
+    monotone = np.flatnonzero(rises != falls)  # a constant does both
+    if len(monotone):
+        column = int(monotone[0])
+        first, last = values[0, column], values[-1, column]
+        moves = "rises" if first < last else "falls"
+        raise ValueError(
+            f"{what}: {name_column(names[column])} only ever {moves} "
+            f"({first:g} to {last:g}), as a time or a counter does: leave it out; of a text file, "
+            "name it with --time-column, or the others with --states-columns and --input-columns"
         )

@@ -108,7 +108,7 @@ class ArmSurvey:
             "body": self.parameters.to_dict(),
         }
 
-    def summary(self) -> dict[str, float | int | str | list[float] | None]:
+    def summary(self) -> dict[str, float | int | str | list[float] | list[str] | None]:
         """The main figures, one line of a table."""
         processing = self.measures.processing
         return {
@@ -125,6 +125,7 @@ class ArmSurvey:
             "lyapunov_standard_error_per_second": self.lyapunov.standard_error,
             "echo_decay_time_seconds": self.echo.decay_time,
             "echo_verdict": self.echo.verdict,
+            "warnings": self.measures.warnings,
         }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.box import SIMPLE, SQUARE
+from rich.markup import escape
 from rich.table import Table
 
 from octoarm_agents.analysis.measures import Measures
@@ -15,17 +16,29 @@ __all__ = ["measures_table", "survey_table", "sweep_table"]
 def measures_table(result: Measures) -> Table:
     """The measures of a recording."""
     memory, processing = result.memory, result.processing
-    table = _table(f"{result.rows} rows, {result.states} states")
+    table = _table(f"{result.rows} {result.sampling.unit}, {result.states} states")
+    for kind, columns in (("states", result.state_names), ("input", result.input_names)):
+        if not columns[0].isdigit():
+            shown = columns if len(columns) < 3 else (columns[0], "…", columns[-1])
+            table.add_row(kind, escape(", ".join(shown)))
+    rows = result.sampling.rows
     first, last = memory.training_rows[0] + 1, memory.test_rows[1]
-    table.add_row("rows used (counted from 1)", f"{first} to {last}")
+    table.add_row(f"{rows} used (counted from 1)", f"{first} to {last}")
     table.add_row(
-        f"memory capacity, delays 1 to {result.settings.max_delay}", f"{memory.total:.3f}"
+        f"memory capacity, delays 1 to {result.settings.max_delay}", _sum(result, "memory capacity")
     )
     test = memory.test_rows
-    table.add_row(f"the same on rows {test[0] + 1} to {test[1]}", f"{memory.held_out_total:.3f}")
-    table.add_row("information processing capacity", f"{processing.total:.3f}")
-    everything = sum(processing.unselected_by_degree)
-    table.add_row("the same, insignificant functions included", f"{everything:.3f}")
+    table.add_row(
+        f"the same on {rows} {test[0] + 1} to {test[1]}",
+        _sum(result, "memory capacity on held-out rows"),
+    )
+    table.add_row(
+        "information processing capacity", _sum(result, "information processing capacity")
+    )
+    table.add_row(
+        "the same, insignificant functions included",
+        _sum(result, "information processing capacity, insignificant functions included"),
+    )
     for degree, (value, delay, tried, counted) in enumerate(
         zip(
             processing.by_degree,
@@ -88,6 +101,11 @@ def sweep_table(quantity: Quantity, points: list[SweepPoint]) -> Table:
             cells = ["none" if figure is None else f"{figure:.4g}" for figure in figures]
         table.add_row(f"{point.value:g}", *cells)
     return table
+
+
+def _sum(result: Measures, name: str) -> str:
+    """A sum of capacities; one that cannot be says so, and the warnings say why."""
+    return f"{'impossible: ' * (name in result.impossible)}{result.sums[name]:.3f}"
 
 
 def _table(title: str, *headings: str) -> Table:

@@ -7,6 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from octoarm_agents.cli.log_options import (
+    FillGaps,
+    Hold,
+    InputColumns,
+    SkipLines,
+    StatesColumns,
+    TimeColumn,
+)
 from octoarm_agents.cli.options import number_between, output_folder, read_body
 from octoarm_agents.progress import progress_bar, stage_bar
 
@@ -79,7 +87,8 @@ def states(
         Path,
         typer.Option(
             "--states",
-            help="States, a row a sample: .npy, .csv, or .npz with the key 'states'.",
+            help="States, a row a sample: .npy, .npz with the key 'states', or a text file "
+            "(.csv, .tsv, .txt).",
             exists=True,
             dir_okay=False,
         ),
@@ -88,12 +97,18 @@ def states(
         Path | None,
         typer.Option(
             "--input",
-            help="Input, a row a sample: .npy, .csv, or .npz with the key 'input'.",
+            help="Input, a row a sample: .npy, .npz with the key 'input', or a text file.",
             exists=True,
             dir_okay=False,
-            show_default="the key 'input' of the states' .npz",
+            show_default="in the states' file",
         ),
     ] = None,
+    states_columns: StatesColumns = None,
+    input_columns: InputColumns = None,
+    time_column: TimeColumn = None,
+    skip_lines: SkipLines = 0,
+    fill_gaps: FillGaps = 0,
+    hold: Hold = None,
     out: Out = Path("out/analysis"),
     washout: Annotated[
         int,
@@ -125,7 +140,8 @@ def states(
     """Measure a recording of states and input, of the arm or of any other reservoir.
 
     The input should be independent from row to row; row t of the states has
-    seen input t.
+    seen input t. Logs of instruments are taken as they are: with a header or
+    without, decimal commas, units, comments (docs/your-own-log.md).
 
     Linear memory capacity (Jaeger 2002, "Short term memory in echo state
     networks"): for each delay the share of the input's variance that a linear
@@ -149,7 +165,7 @@ def states(
 
     from octoarm_agents.analysis.figure import draw_analysis
     from octoarm_agents.analysis.measures import MeasureSettings, measure
-    from octoarm_agents.analysis.states import read_recording
+    from octoarm_agents.analysis.recording_file import read_recording
     from octoarm_agents.analysis.tables import measures_table
     from octoarm_agents.files import write_atomically, write_json
 
@@ -167,7 +183,16 @@ def states(
     )
     console = Console()
     try:
-        recording = read_recording(states_file, input_file)
+        recording = read_recording(
+            states_file,
+            input_file,
+            states_columns=states_columns,
+            input_columns=input_columns,
+            time_column=time_column,
+            skip_lines=skip_lines,
+            fill_gaps=fill_gaps,
+            hold=hold,
+        )
         with stage_bar("measuring") as advance:
             result = measure(recording, settings, advance)
     except OSError as error:
@@ -372,7 +397,12 @@ def _sweep(
     for point in points:
         if point.failure is not None:
             typer.echo(f"{quantity} {point.value:g}: {point.failure}", err=True)
-    _finish(console, [], out)
+    warnings = [
+        f"{quantity} {point.value:g}: {warning}"
+        for point in points
+        for warning in (point.summary or {}).get("warnings", ())
+    ]
+    _finish(console, warnings, out)
     if all(point.summary is None for point in points):
         raise typer.Exit(1)
 
