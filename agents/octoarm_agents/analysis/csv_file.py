@@ -70,17 +70,17 @@ class CsvFile:
         # Blank lines in the place of what is left out keep the numbers of the others.
         lines[:skip_lines] = ["\n"] * min(skip_lines, len(lines))
         self._lines = lines
-        comment, before = "", True
+        comment, before, delimiter = "", True, ""
         for number, line in enumerate(lines):
-            if line.startswith("sep=") and before:
-                lines[number], self._delimiter = "\n", line[4:5]
+            if before and (separator := re.fullmatch(r"sep=([^\r\n\"])[\r\n]*", line)):
+                lines[number], delimiter = "\n", separator[1]
             elif line.startswith(_COMMENTS) and _word(re.split("[;,\t]", line)[0]) not in _GAPS:
                 lines[number] = "\n"
                 comment = line if before else comment
             elif line.strip():
                 before = False
-        if not hasattr(self, "_delimiter"):
-            self._delimiter = _delimiter([*islice(filter(str.strip, lines), 100)])
+        first = list(islice(filter(str.strip, lines), 100))
+        self._delimiter = delimiter or _delimiter(first)
         self._begin, names = self._header(comment)
         self.names = tuple(
             " ".join(name.split()) or str(number) for number, name in enumerate(names, start=1)
@@ -281,7 +281,7 @@ class CsvFile:
 
 def _decode(content: bytes) -> str:
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return content.decode("utf-16")
+        return content.decode("utf-16", errors="replace")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
