@@ -483,3 +483,21 @@ def assert_no_nan(step: pb.StepResponse) -> None:
         value = array_of(observation)
         if value.dtype == np.float64:
             assert not np.isnan(value).any(), (uid, value)
+
+
+def assert_same(found: Any, expected: Any) -> None:
+    """Compare results of `reset` or `step`: types, shapes and every bit."""
+    assert type(found) is type(expected)
+    if isinstance(expected, dict):
+        assert list(found) == list(expected)
+        for key in expected:
+            assert_same(found[key], expected[key])
+    elif isinstance(expected, tuple):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+    elif isinstance(expected, np.ndarray):
+        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+        assert found.tobytes() == expected.tobytes()
+    else:
+        assert repr(found) == repr(expected)

@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from clients import assert_same
 from gymnasium.utils.env_checker import check_env
 from octoarm_agents.serving import ServerProcess
 
@@ -34,24 +35,6 @@ def make(server: ServerProcess) -> Iterator[Make]:
     yield make
     for env in made:
         env.close()
-
-
-def assert_same(found: Any, expected: Any) -> None:
-    """Compare results of `reset` or `step`: types, shapes and every bit."""
-    assert type(found) is type(expected)
-    if isinstance(expected, dict):
-        assert list(found) == list(expected)
-        for key in expected:
-            assert_same(found[key], expected[key])
-    elif isinstance(expected, tuple):
-        assert len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other)
-    elif isinstance(expected, np.ndarray):
-        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
-        assert found.tobytes() == expected.tobytes()
-    else:
-        assert repr(found) == repr(expected)
 
 
 BODY = ArmParameters(compartments=7, area_scale=0.8, longitudinal_damping=1.5)
