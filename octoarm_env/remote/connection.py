@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 import grpc
 
+from octoarm_env.arguments import number
 from octoarm_env.remote.messages import (
     EnvironmentRequest,
     EnvironmentResponse,
@@ -29,6 +30,7 @@ from octoarm_env.remote.messages import (
 __all__ = ["Connection", "RemoteError"]
 
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
+_HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
 _INVALID_ARGUMENT = 3
 _READY = object()
@@ -76,10 +78,15 @@ class Connection:
 
     Args:
         address: ``host:port``, or a URL: ``http://host:port``, ``https://host:port`` for TLS.
-        token: what a server that asks for one is told.
+        token: what a server that asks for one is told; refused without TLS, unless the server is on
+            this machine.
         certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
             implies TLS. None: the machine's usual ones.
         timeout: time to wait for the server [s].
+
+    To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
+    one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
+    host.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
@@ -96,10 +103,16 @@ class Connection:
         timeout: float = 10.0,
     ) -> None:
         host, port, encrypted = _parse(address, certificate)
+        timeout = number("timeout", timeout)
+        if timeout <= 0.0:
+            raise ValueError(f"timeout = {timeout}: expected a positive time [s]")
+        if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
+            # Which is not shown.
+            raise ValueError("token: expected a text of printable ASCII characters without spaces")
         if token is not None and not encrypted and not _is_this_machine(host):
             raise ValueError(
                 f"address = {address!r}: a token is not sent to another machine without TLS; "
-                "use https:// or a certificate"
+                "use https://, a certificate, or an SSH tunnel to the server's machine"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._proxy = "" if _is_this_machine(host) else _proxy()
@@ -316,17 +329,14 @@ def _converse(
         answers.put(response := EnvironmentResponse.FromString(data))
         return response
 
-    def notice(state: grpc.ChannelConnectivity) -> None:
-        if state is grpc.ChannelConnectivity.READY:
-            requests.put(_READY)
-
     end: BaseException | None = None
     channel = connect()
     try:
-        channel.subscribe(notice, try_to_connect=True)
-        if requests.get(timeout=timeout) is not _READY:
+        # Whatever a server says to this, and be it that it knows no such method, there is one.
+        health = channel.unary_unary(_HEALTH).future(b"", timeout=timeout, wait_for_ready=True)
+        health.add_done_callback(lambda call: requests.put(_READY))
+        if requests.get() is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
             return
-        channel.unsubscribe(notice)
         answers.put(_READY)
         for _ in channel.stream_stream(
             _METHOD,
@@ -334,8 +344,6 @@ def _converse(
             response_deserializer=incoming,
         )(outgoing(), metadata=metadata):
             pass
-    except queue.Empty:
-        pass
     except BaseException as error:
         end = error
     finally:
