@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import queue
+import re
+import threading
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 import grpc
 
+from octoarm_env.arguments import number
 from octoarm_env.remote.messages import (
     EnvironmentRequest,
     EnvironmentResponse,
@@ -25,8 +30,22 @@ from octoarm_env.remote.messages import (
 __all__ = ["Connection", "RemoteError"]
 
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
+_HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
 _INVALID_ARGUMENT = 3
+_READY = object()
+_GOODBYE = 5.0
+"""Longest wait in :meth:`Connection.close` for the end of the stream [s]."""
+_PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")
+"""Variables that name a proxy, as gRPC reads them: the first that is set."""
+_DIRECT = (
+    ("grpc.enable_http_proxy", 0),
+    # The addresses that GRPC_ADDRESS_HTTP_PROXY is for: none.
+    ("grpc.address_http_proxy_enabled_addresses", "255.255.255.255/32"),
+)
+"""Options of a channel that leads through no proxy."""
+
+T = TypeVar("T")
 
 
 class RemoteError(RuntimeError):
@@ -44,15 +63,30 @@ class RemoteError(RuntimeError):
         return RemoteError, (self.code, str(self))
 
 
+class _Refused(Exception):  # noqa: N818, it carries the error
+    """The server's answer is an error; no signal handler raises this one."""
+
+    def __init__(self, error: ValueError | RemoteError) -> None:
+        super().__init__()
+        self.error = error
+
+
 class Connection:
     """A stream to a server.
 
+    Requests and their answers go through :meth:`exchange`, which keeps them together.
+
     Args:
         address: ``host:port``, or a URL: ``http://host:port``, ``https://host:port`` for TLS.
-        token: what a server that asks for one is told.
+        token: what a server that asks for one is told; refused without TLS, unless the server is on
+            this machine.
         certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
             implies TLS. None: the machine's usual ones.
         timeout: time to wait for the server [s].
+
+    To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
+    one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
+    host.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
@@ -69,12 +103,19 @@ class Connection:
         timeout: float = 10.0,
     ) -> None:
         host, port, encrypted = _parse(address, certificate)
+        timeout = number("timeout", timeout)
+        if timeout <= 0.0:
+            raise ValueError(f"timeout = {timeout}: expected a positive time [s]")
+        if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
+            # Which is not shown.
+            raise ValueError("token: expected a text of printable ASCII characters without spaces")
         if token is not None and not encrypted and not _is_this_machine(host):
             raise ValueError(
                 f"address = {address!r}: a token is not sent to another machine without TLS; "
-                "use https:// or a certificate"
+                "use https://, a certificate, or an SSH tunnel to the server's machine"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        self._proxy = "" if _is_this_machine(host) else _proxy()
         # Streams that share a connection would wait for each other where a server allows it only so
         # many; the answer to a step of many arms may be large; a dead server is noticed.
         options = [
@@ -82,69 +123,138 @@ class Connection:
             ("grpc.max_receive_message_length", -1),
             ("grpc.keepalive_time_ms", 30_000),
             ("grpc.keepalive_timeout_ms", 20_000),
+            *(_DIRECT if _is_this_machine(host) else ()),
         ]
         if encrypted:
             roots = None if certificate is None else Path(certificate).read_bytes()
             credentials = grpc.ssl_channel_credentials(root_certificates=roots)
-            channel = grpc.secure_channel(self.address, credentials, options=options)
+            connect = partial(grpc.secure_channel, self.address, credentials, options)
         else:
-            channel = grpc.insecure_channel(self.address, options=options)
-        try:
-            grpc.channel_ready_future(channel).result(timeout)
-        except grpc.FutureTimeoutError:
-            channel.close()
-            how = "with TLS and a trusted certificate" if encrypted else "without TLS"
-            raise ConnectionError(
-                f"no server answers at {self.address} {how} within {timeout:g} s"
-            ) from None
-        requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+            connect = partial(grpc.insecure_channel, self.address, options)
         metadata = () if token is None else (("authorization", f"Bearer {token}"),)
-        call = channel.stream_stream(
-            _METHOD,
-            request_serializer=EnvironmentRequest.SerializeToString,
-            response_deserializer=EnvironmentResponse.FromString,
-        )(iter(requests.get, None), metadata=metadata)
-        self._requests = requests
-        self._call = call
-        self._close = weakref.finalize(self, _end, requests, call, channel)
+        # Held during an exchange.
+        self.lock = threading.RLock()
+        # Whether a request was sent whose answer has not been made use of.
+        self._owed = False
+        # Why nothing can be sent any more.
+        self._fault: str | None = None
+        self._given_up = False
+        self._interrupted = (
+            f"the connection to {self.address} was closed: a request was interrupted before its "
+            "answer came"
+        )
+        self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._incoming: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        weakref.finalize(self, self._requests.put, None)
+        self._thread = threading.Thread(
+            target=_converse,
+            args=(connect, metadata, timeout, self._requests, self._incoming),
+            name=f"stream to {self.address}",
+            daemon=True,
+        )
+        try:
+            self._thread.start()
+            if self._incoming.get() is not _READY:
+                how = "with TLS and a trusted certificate" if encrypted else "without TLS"
+                raise ConnectionError(
+                    f"no server answers at {self.address} {how} within {timeout:g} s{self._proxy}"
+                )
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def closed(self) -> bool:
-        """Whether the stream has been closed from this side."""
-        return not self._close.alive
+        """Whether the stream has ended."""
+        return self._fault is not None
+
+    def is_lost(self) -> bool:
+        """Tell whether the stream has ended otherwise than by :meth:`close`.
+
+        An interrupt on the way out of an :meth:`exchange` ends it here, and so does a signal's
+        handler that asks in the midst of one.
+        """
+        with self.lock:
+            if self._owed:
+                self._end(self._interrupted)
+            return self.closed and not self._given_up
 
     def close(self) -> None:
-        """End the stream; the server frees what it made."""
-        self._close()
+        """End the stream; the server frees what it made. Any thread may do it at any time."""
+        self._given_up = True
+        self._end(f"the connection to {self.address} is closed")
+        if self._thread.is_alive():
+            self._thread.join(_GOODBYE)
 
-    def post(self, request: Any) -> None:
-        """Send a request without waiting for its answer."""
-        self._requests.put(request)
+    def _end(self, fault: str) -> None:
+        self._fault = self._fault or fault
+        self._requests.put(None)
 
-    def answer(self, kind: str) -> Any:
-        """Wait for the next answer, which must be of this kind.
+    def exchange(self, work: Callable[[], T]) -> T:
+        """Do something that sends requests, takes all their answers, and makes use of them.
+
+        Threads take turns. What breaks in, such as Ctrl-C or what a signal's handler raises, ends
+        the stream: an answer that is still to come must not be taken for that to another request.
 
         Raises:
             ValueError: the server found a value that it cannot use.
             RemoteError: the server refused the request for another reason.
             PermissionError: the server wants a token, or another one.
-            ConnectionError: the stream is broken.
+            ConnectionError: the stream is broken, or was ended before, which the message tells.
         """
-        if self.closed:
-            raise ConnectionError(f"the connection to {self.address} is closed")
-        try:
-            response = next(self._call)
-        except StopIteration:
-            raise ConnectionError(f"the server at {self.address} ended the stream") from None
-        except grpc.RpcError as error:
-            raise _broken(self.address, error) from None
+        with self.lock:
+            hint = "; reset() connects anew and begins an episode" if self.is_lost() else ""
+            if self._fault is not None:
+                raise ConnectionError(self._fault + hint)
+            try:
+                result = work()
+            except _Refused as refused:
+                self._owed = False
+                raise refused.error from None
+            except BaseException:
+                if self._owed:
+                    self._end(self._interrupted)
+                raise
+            self._owed = False
+            return result
+
+    def post(self, request: Any) -> None:
+        """Send a request, within an :meth:`exchange`, without waiting for its answer."""
+        self._owed = True
+        self._requests.put(request)
+
+    def answer(self, kind: str) -> Any:
+        """Wait, within an :meth:`exchange`, for the next answer, which must be of this kind."""
+        response = self._incoming.get()
+        if response is None:
+            raise self._broken(f"the server at {self.address} ended the stream")
+        if isinstance(response, BaseException):
+            code = response.code() if isinstance(response, grpc.Call) else None
+            details = response.details() if isinstance(response, grpc.Call) else repr(response)
+            if code == grpc.StatusCode.UNAUTHENTICATED:
+                refusal = f"the server at {self.address} refuses: {details}"
+                raise self._broken(refusal, PermissionError)
+            name = "" if code is None else f" ({code.name})"
+            proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
+            raise self._broken(
+                f"the connection to {self.address} is broken: {details}{name}{proxy}"
+            )
         found = response.WhichOneof("payload")
         if found == "error":
             code, message = response.error.code, response.error.message
-            raise ValueError(message) if code == _INVALID_ARGUMENT else RemoteError(code, message)
+            raise _Refused(
+                ValueError(message) if code == _INVALID_ARGUMENT else RemoteError(code, message)
+            )
         if found != kind:
-            raise ConnectionError(f"the server at {self.address} answered {kind} by {found}")
+            raise self._broken(f"the server at {self.address} answered {kind} by {found}")
         return getattr(response, found)
+
+    def _broken(self, fault: str, kind: type[OSError] = ConnectionError) -> OSError:
+        """The exception for a stream that broke, unless it was closed from this side meanwhile."""
+        if self._fault is not None:
+            return ConnectionError(self._fault)
+        self._end(fault)
+        return kind(fault)
 
     def create_world(self, settings: Mapping[str, Any]) -> str:
         """Make a world; its name."""
@@ -190,17 +300,56 @@ class Connection:
         for _ in range(count):
             try:
                 answers.append(self.answer(kind))
-            except (ValueError, RemoteError) as error:
-                refusal = refusal or error
+            except _Refused as refused:
+                refusal = refusal or refused
         if refusal is not None:
             raise refusal
         return answers
 
 
-def _end(requests: queue.SimpleQueue[Any], call: Any, channel: grpc.Channel) -> None:
-    requests.put(None)
-    call.cancel()
-    channel.close()
+def _converse(
+    connect: Callable[[], grpc.Channel],
+    metadata: tuple[tuple[str, str], ...],
+    timeout: float,
+    requests: queue.SimpleQueue[Any],
+    answers: queue.SimpleQueue[Any],
+) -> None:
+    """Connect, send the requests up to None, and hand out what comes: in a thread of its own.
+
+    Whoever asks touches the queues alone, which an exception from a signal's handler leaves whole;
+    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None; last, when
+    the stream has ended, None or the error.
+    """
+
+    def outgoing() -> Iterator[Any]:
+        yield from (request for request in iter(requests.get, None) if request is not _READY)
+        channel.close()
+
+    def incoming(data: bytes) -> Any:
+        answers.put(response := EnvironmentResponse.FromString(data))
+        return response
+
+    end: BaseException | None = None
+    channel = connect()
+    try:
+        # Whatever a server says to this, and be it that it knows no such method, there is one.
+        health = channel.unary_unary(_HEALTH).future(b"", timeout=timeout, wait_for_ready=True)
+        health.add_done_callback(lambda call: requests.put(_READY))
+        if requests.get() is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
+            return
+        answers.put(_READY)
+        for _ in channel.stream_stream(
+            _METHOD,
+            request_serializer=EnvironmentRequest.SerializeToString,
+            response_deserializer=incoming,
+        )(outgoing(), metadata=metadata):
+            pass
+    except BaseException as error:
+        end = error
+    finally:
+        requests.put(None)
+        answers.put(end)
+        channel.close()
 
 
 def _parse(address: str, certificate: str | Path | None) -> tuple[str, int, bool]:
@@ -230,11 +379,11 @@ def _is_this_machine(host: str) -> bool:
         return host == "localhost"
 
 
-def _broken(address: str, error: grpc.RpcError) -> OSError:
-    """The exception for a stream that broke."""
-    code = error.code() if isinstance(error, grpc.Call) else None
-    details = error.details() if isinstance(error, grpc.Call) else str(error)
-    if code == grpc.StatusCode.UNAUTHENTICATED:
-        return PermissionError(f"the server at {address} refuses: {details}")
-    name = "" if code is None else f" ({code.name})"
-    return ConnectionError(f"the connection to {address} is broken: {details}{name}")
+def _proxy() -> str:
+    """What a message says of the proxy that gRPC leads connections to other machines through."""
+    name = next((name for name in _PROXIES if name in os.environ), None)
+    if name is None or not os.environ[name]:
+        return ""
+    # Without user and password.
+    value = re.sub(r"^(\w+://)?.*@", r"\1", os.environ[name])
+    return f"; {name} = {value} leads there through a proxy, unless no_proxy names the host"

@@ -30,8 +30,11 @@ class RemoteEpisode:
 
     def __init__(self, connection: Connection, settings: str) -> None:
         self._connection = connection
-        world = connection.create_world(_world_settings(settings))
-        specs = connection.join_world(world)
+        self.lock = connection.lock
+        self.settings = settings
+        specs = connection.exchange(
+            lambda: connection.join_world(connection.create_world(_world_settings(settings)))
+        )
         observations = {spec.name: uid for uid, spec in specs.observations.items()}
         (self._action,) = (uid for uid, spec in specs.actions.items() if spec.name == "action")
         self._uids = {name: observations[name] for name in _OBSERVED}
@@ -40,32 +43,43 @@ class RemoteEpisode:
         self.observation_bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
         self._running = False
 
+    def is_lost(self) -> bool:
+        """Tell whether the world is gone with its stream, though nobody closed it."""
+        return self._connection.is_lost()
+
     def close(self) -> None:
         self._connection.close()
 
     def seed(self, seed: int) -> None:
-        self._connection.write("seed", seed)
+        self._connection.exchange(lambda: self._connection.write("seed", seed))
 
     def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]:
         request = EnvironmentRequest()
         request.reset.SetInParent()
         if phase is not None:
             pack(request.reset.settings["phase"], phase)
-        self._connection.post(request)
-        # A refused reset changes nothing, so nothing may follow it.
-        self._connection.answer("reset")
-        self._connection.post(self._step_request())
-        lengths, _, _, info = self._answer()
-        return lengths, info
+
+        def work() -> tuple[Float, dict[str, Any]]:
+            self._connection.post(request)
+            # A refused reset changes nothing, so nothing may follow it.
+            self._connection.answer("reset")
+            self._connection.post(self._step_request())
+            lengths, _, _, info = self._answer()
+            return lengths, info
+
+        return self._connection.exchange(work)
 
     def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]:
-        checked = _core.check_step(action, self._running)
-        request = self._step_request()
-        tensor = request.step.actions[self._action]
-        tensor.doubles.array.extend(checked.tolist())
-        tensor.shape.append(2)
-        self._connection.post(request)
-        return self._answer()
+        def work() -> tuple[Float, float, bool, dict[str, Any]]:
+            checked = _core.check_step(action, self._running)
+            request = self._step_request()
+            tensor = request.step.actions[self._action]
+            tensor.doubles.array.extend(checked.tolist())
+            tensor.shape.append(2)
+            self._connection.post(request)
+            return self._answer()
+
+        return self._connection.exchange(work)
 
     def _step_request(self) -> Any:
         request = EnvironmentRequest()
@@ -77,7 +91,10 @@ class RemoteEpisode:
         found = step.observations
         self._running = step.state == _RUNNING
         terminated = step.state == _TERMINATED
-        info = {name: unpack(found[self._uids[name]]) for name in _INFO}
+        info: dict[str, Any] = {}
+        for name in _INFO:
+            value = unpack(found[self._uids[name]])
+            info[name] = value if isinstance(value, np.ndarray) else np.float64(value)
         if terminated:
             info["failure"] = unpack(found[self._uids["failure"]])
         lengths = unpack(found[self._uids["spring_lengths"]])
@@ -90,11 +107,14 @@ class RemoteEpisode:
         return str(self._read("state"))
 
     def load(self, state: str) -> None:
-        self._connection.write("state", state)
-        self._running = bool(json.loads(state)["running"])
+        def work() -> None:
+            self._connection.write("state", state)
+            self._running = bool(json.loads(state)["running"])
+
+        self._connection.exchange(work)
 
     def _read(self, key: str) -> Any:
-        return self._connection.read([key])[0]
+        return self._connection.exchange(lambda: self._connection.read([key])[0])
 
     def _table(self, key: str) -> Float:
         return np.asarray(self._read(key), np.float64)
@@ -148,9 +168,16 @@ class RemoteOctoArm(OctoArmEnv):
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
-        ConnectionError: nobody answers; and from any method, when the stream breaks.
+        ConnectionError: nobody answers; and from any method, when the stream breaks, or was ended
+            by an interrupt.
         PermissionError: the server wants a token, or another one.
         RemoteError: the server refuses, such as for too many worlds.
+
+    Ctrl-C, or an exception from a signal's handler, between a request and its answer ends the
+    stream: whether the arm made that step is then unknown. Every method but :meth:`reset` and
+    :meth:`close` raises ConnectionError from then on; :meth:`reset` goes on in a new world on the
+    same server, as it does where the stream broke. Threads that share an environment take turns, a
+    request and its answer at a time.
 
     As with the local environment, ``gym.make("OctoArmRemote-v0", address=...)`` adds the time limit
     of 500 steps; this class alone has none. gRPC does not survive a fork: start processes that step
@@ -180,6 +207,22 @@ class RemoteOctoArm(OctoArmEnv):
         except BaseException:
             connection.close()
             raise
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float, dict[str, Any]]:
+        """Begin an episode on the orbit, as :meth:`octoarm_env.OctoArmEnv.reset` does.
+
+        Where the stream broke or was interrupted, on a new one, in a new world; without a seed
+        `np_random` then seeds its phases, as at the first reset.
+        """
+        core = self._core
+        assert isinstance(core, RemoteEpisode)
+        with core.lock:
+            if core is self._core and core.is_lost():
+                self._core = self._episode(core.settings)
+                self._seeded = False
+        return super().reset(seed=seed, options=options)
 
     def close(self) -> None:
         """Close the window, if there is one, and the stream; the server frees the world."""

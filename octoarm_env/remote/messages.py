@@ -45,6 +45,9 @@ PropertyResponse = _message(f"{_PROPERTIES}.PropertyResponse")
 
 def pack(tensor: Any, value: Any) -> None:
     """Write a number, text or array of numbers into a tensor."""
+    if isinstance(value, np.generic):
+        # An integer of NumPy's is one of 64 bits too, not a double.
+        value = value.item()
     if isinstance(value, str):
         tensor.strings.array.append(value)
     elif isinstance(value, bool):

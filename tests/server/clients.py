@@ -483,3 +483,46 @@ def assert_no_nan(step: pb.StepResponse) -> None:
         value = array_of(observation)
         if value.dtype == np.float64:
             assert not np.isnan(value).any(), (uid, value)
+
+
+def assert_same(found: Any, expected: Any) -> None:
+    """Compare results of `reset` or `step`: types, shapes and every bit."""
+    assert type(found) is type(expected)
+    if isinstance(expected, dict):
+        assert list(found) == list(expected)
+        for key in expected:
+            assert_same(found[key], expected[key])
+    elif isinstance(expected, tuple):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+    elif isinstance(expected, np.ndarray):
+        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+        assert found.tobytes() == expected.tobytes()
+    else:
+        assert repr(found) == repr(expected)
+
+
+class Proxy:
+    """A proxy that refuses everybody, and keeps what it was sent."""
+
+    def __init__(self) -> None:
+        self.received: list[bytes] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            with client:
+                self.received.append(client.recv(65536))
+                client.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\n\r\n")
+
+    def close(self) -> None:
+        # Also of the thread that waits in it.
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()

@@ -7,8 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from clients import Bystander, nothing_left
+from clients import Bystander, Proxy, nothing_left
 from octoarm_agents.serving import ServerProcess
+
+PROXY_VARIABLES = [
+    name
+    for kind in ("grpc", "https", "http", "all")
+    for name in (f"{kind}_proxy", f"{kind}_proxy".upper())
+]
 
 
 def _use_what_cargo_built() -> None:
@@ -44,3 +50,15 @@ def watched_server(quiet_server: ServerProcess) -> Iterator[ServerProcess]:
     """The server, with a bystander at its side; the test must leave nothing behind."""
     with nothing_left(quiet_server), Bystander(quiet_server):
         yield quiet_server
+
+
+@pytest.fixture
+def proxy(monkeypatch: pytest.MonkeyPatch) -> Iterator[Proxy]:
+    """A proxy, and all variables that could name it."""
+    proxy = Proxy()
+    for name in PROXY_VARIABLES:
+        monkeypatch.setenv(name, f"http://somebody:sesame@{proxy.address}")
+    for name in ("no_proxy", "NO_PROXY", "no_grpc_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    yield proxy
+    proxy.close()

@@ -14,6 +14,7 @@ import grpc
 import numpy as np
 import pytest
 from absl.testing import absltest
+from clients import open_channel
 from dm_env import test_utils
 from dm_env_rpc.v1 import (
     compliance,
@@ -33,7 +34,7 @@ pack = tensor_utils.pack_tensor
 
 @pytest.fixture
 def channel(server: ServerProcess) -> Iterator[grpc.Channel]:
-    with grpc.insecure_channel(server.address) as channel:
+    with open_channel(server.address) as channel:
         yield channel
 
 

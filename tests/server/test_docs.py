@@ -11,7 +11,7 @@ from pathlib import Path
 
 import grpc
 import pytest
-from clients import fetch
+from clients import fetch, open_channel
 from dm_env_rpc.v1 import connection, dm_env_rpc_pb2, tensor_utils
 from dm_env_rpc.v1.extensions import properties
 from octoarm_agents.serving import ServerProcess, find_program
@@ -50,7 +50,7 @@ class Joined:
 @pytest.fixture(scope="module")
 def worlds(server: ServerProcess) -> Iterator[tuple[Joined, Joined]]:
     """A single arm, and a batch of three."""
-    with grpc.insecure_channel(server.address) as channel:
+    with open_channel(server.address) as channel:
         yield Joined(channel), Joined(channel, num_envs=3)
 
 

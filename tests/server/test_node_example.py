@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from clients import Proxy
 from octoarm_agents.serving import ServerProcess
 
 from octoarm_env import OctoArmEnv
@@ -124,6 +125,14 @@ def test_a_token(run: Run) -> None:
             code, _, error = run(*address, token=token)
             assert code == 1
             assert "16 UNAUTHENTICATED" in error
+
+
+def test_no_proxy_to_this_machine(run: Run, proxy: Proxy) -> None:
+    with ServerProcess(environment={"OCTOARM_TOKEN": TOKEN}) as server:
+        port = server.address.rpartition(":")[2]
+        for host in ("127.0.0.1", "localhost"):
+            assert run("--address", f"{host}:{port}", token=TOKEN)[0] == 0
+    assert proxy.received == []
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl")

@@ -14,6 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from clients import assert_same
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from octoarm_agents.serving import ServerProcess
@@ -37,24 +38,6 @@ def make(server: ServerProcess) -> Iterator[Make]:
     yield make
     for env in made:
         env.close()
-
-
-def assert_same(found: Any, expected: Any) -> None:
-    """Compare results of `reset` or `step`: types, shapes and every bit."""
-    assert type(found) is type(expected)
-    if isinstance(expected, dict):
-        assert list(found) == list(expected)
-        for key in expected:
-            assert_same(found[key], expected[key])
-    elif isinstance(expected, tuple):
-        assert len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other)
-    elif isinstance(expected, np.ndarray):
-        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
-        assert found.tobytes() == expected.tobytes()
-    else:
-        assert repr(found) == repr(expected)
 
 
 BODY = ArmParameters(compartments=7, area_scale=0.8, longitudinal_damping=1.5)
@@ -95,6 +78,43 @@ def test_every_bit_is_the_local_one(make: Make, steps: int, arguments: dict[str,
     assert_same(remote.teacher_action(), local.teacher_action())
     for name in ("orbit", "arm_joints", "arm_positions", "action_range", "amplitude", "period"):
         assert_same(getattr(remote, name), getattr(local, name))
+
+
+RECORDS = np.zeros(3, dtype=[("step", "i4"), ("action", "f8", 2), ("small", "f4", 2)])
+RECORDS["action"], RECORDS["small"] = [0.5, -0.25], [0.25, 0.75]
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        # Strides that are no multiple of the items' size.
+        RECORDS["action"][1],
+        RECORDS["small"][2],
+        RECORDS["action"][:, 0][1:],
+        np.array([9.0, 0.5, 9.0, -0.25])[::-2],
+        np.asfortranarray(np.full((2, 2), 0.125))[1],
+        np.array([0.5, -0.25], ">f8"),
+        np.array([0.5, -0.25], np.float16),
+        np.array([1, 0]),
+        [0.5, np.float32(-0.25)],
+        (0, 1),
+        memoryview(np.array([0.5, -0.25])),
+    ],
+    ids=lambda action: type(action).__name__,
+)
+def test_any_array_like_is_an_action(make: Make, action: Any) -> None:
+    remote, local = make(), OctoArmEnv()
+    assert_same(remote.reset(seed=3), local.reset(seed=3))
+    expected = local.step(np.array(np.asarray(action), np.float64, order="C", copy=True))
+    assert_same(remote.step(action), expected)
+
+
+def test_any_array_like_is_a_target(make: Make) -> None:
+    records = np.zeros(len(SAMPLES), dtype=[("step", "i4"), ("angles", "f8", 2)])
+    records["angles"] = SAMPLES
+    expected = OctoArmEnv(target=SAMPLES).reset(seed=3)
+    for target in (records["angles"], np.asfortranarray(SAMPLES), SAMPLES.tolist()):
+        assert_same(make(target=target).reset(seed=3), expected)
 
 
 def test_the_end_of_an_arm_that_fails(make: Make) -> None:
@@ -273,8 +293,27 @@ def test_bad_addresses_are_named(address: str, expected: str) -> None:
 
 
 def test_a_token_is_not_sent_in_the_open() -> None:
-    with pytest.raises(ValueError, match="without TLS"):
+    with pytest.raises(ValueError, match=r"without TLS; use https://, a certificate, or an SSH"):
         RemoteOctoArm("192.0.2.1:50051", token="0123456789abcdef")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"timeout": 0}, "timeout = 0.0: expected a positive time"),
+        ({"timeout": float("nan")}, "timeout = nan: expected a finite number"),
+        ({"timeout": "long"}, "timeout = 'long': expected a number"),
+        ({"token": "sesame open"}, "token: expected a text of printable ASCII"),
+        ({"token": "sesame\n"}, "token: expected a text of printable ASCII"),
+        ({"token": ""}, "token: expected a text of printable ASCII"),
+    ],
+)
+def test_bad_arguments_are_named(
+    server: ServerProcess, arguments: dict[str, Any], expected: str
+) -> None:
+    with pytest.raises((ValueError, TypeError), match=expected) as caught:
+        RemoteOctoArm(server.address, **arguments)
+    assert "sesame" not in str(caught.value)
 
 
 def test_nobody_there() -> None:

@@ -433,7 +433,8 @@ def _stepping(make: Callable[[], OctoArmEnv]) -> Iterator[Step]:
 def _deepmind(address: str) -> Iterator[Step]:
     """The client of the package dm_env_rpc, with arrays on this side."""
     wanted = [SPRING_LENGTHS, REWARD, TERMINATED]
-    with grpc.insecure_channel(address) as channel:
+    # To this machine, whatever proxy there is to others.
+    with grpc.insecure_channel(address, [("grpc.enable_http_proxy", 0)]) as channel:
         client = connection.Connection(channel)
         settings = {
             "max_episode_steps": tensor_utils.pack_tensor(-1),

@@ -53,7 +53,10 @@ impl Refusal {
 
 impl From<ParameterError> for Refusal {
     fn from(error: ParameterError) -> Self {
-        Self::invalid(error.to_string())
+        match error {
+            ParameterError::Memory { .. } => Self::exhausted(error.to_string()),
+            _ => Self::invalid(error.to_string()),
+        }
     }
 }
 

@@ -35,7 +35,8 @@ const { Environment } = grpc.loadPackageDefinition(protocol).dm_env_rpc.v1;
 /** A stream to a server: one request at a time, and its answer. */
 class Connection {
   constructor(address, { token, ca } = {}) {
-    if (token && !ca && !/^(127\.[\d.]+|localhost|\[::1\])(:\d+)?$/.test(address)) {
+    const here = /^(127\.[\d.]+|localhost|\[::1\])(:\d+)?$/.test(address);
+    if (token && !ca && !here) {
       throw new Error(`${address}: a token is not sent to another machine without TLS: give --ca`);
     }
     const credentials = ca
@@ -43,11 +44,13 @@ class Connection {
       : grpc.credentials.createInsecure();
     const metadata = new grpc.Metadata();
     if (token) metadata.set("authorization", `Bearer ${token}`);
-    // The answer to a step of many arms may be large; a dead server is noticed.
+    // The answer to a step of many arms may be large; a dead server is noticed; to this machine no
+    // proxy is asked that http_proxy names.
     this.client = new Environment(address, credentials, {
       "grpc.max_receive_message_length": -1,
       "grpc.keepalive_time_ms": 30_000,
       "grpc.keepalive_timeout_ms": 20_000,
+      "grpc.enable_http_proxy": here ? 0 : 1,
     });
     this.stream = this.client.Process(metadata);
     this.answers = this.stream[Symbol.asyncIterator]();
