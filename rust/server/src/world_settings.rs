@@ -5,7 +5,6 @@ use std::sync::LazyLock;
 
 use octoarm_arm::ArmParameters;
 use octoarm_env::{EpisodeConfig, Swing, TargetName};
-use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use crate::protocol::Tensor;
@@ -14,7 +13,7 @@ use crate::settings::Limits;
 use crate::tensor::to_json;
 
 /// Steps of an episode, as `gym.make("OctoArm-v0")` has them.
-const MAX_EPISODE_STEPS: i64 = 500;
+const MAX_EPISODE_STEPS: u64 = 500;
 /// Before the name of a parameter of the body.
 const ARM: &str = "arm.";
 /// Most numbers of any setting but a target.
@@ -39,8 +38,7 @@ pub(crate) struct WorldSettings {
 }
 
 /// How the next episode begins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct NextReset {
     /// Starts the generator of phases anew.
     pub(crate) seed: Option<u64>,
@@ -49,25 +47,28 @@ pub(crate) struct NextReset {
 }
 
 /// What is the world's beside the episode's own settings.
-#[derive(Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Frame {
-    seed: Option<u64>,
-    num_envs: Option<usize>,
-    max_episode_steps: i64,
-    threads: usize,
-}
-
 const FRAME: [&str; 4] = ["seed", "num_envs", "max_episode_steps", "threads"];
-
-impl Default for Frame {
-    fn default() -> Self {
-        Self { seed: None, num_envs: None, max_episode_steps: MAX_EPISODE_STEPS, threads: 1 }
-    }
-}
 
 fn out_of_range(name: &str, value: impl std::fmt::Display, range: &str) -> Refusal {
     Refusal::invalid(format!("{name} = {value} is outside the allowed range {range}"))
+}
+
+/// A whole number from `low` to `high`.
+fn whole(name: &str, value: &Value, low: i64, high: u64, range: &str) -> Answer<i128> {
+    let number = value.as_i64().map(i128::from).or(value.as_u64().map(i128::from));
+    number
+        .filter(|number| (i128::from(low)..=i128::from(high)).contains(number))
+        .ok_or_else(|| out_of_range(name, value, range))
+}
+
+fn seed(value: &Value) -> Answer<u64> {
+    Ok(whole("seed", value, 0, u64::MAX, "[0, 2^64) of whole numbers")? as u64)
+}
+
+/// A number from 1 to a limit of the server.
+fn count(name: &str, value: &Value, most: usize) -> Answer<usize> {
+    let range = format!("[1, {most}] of whole numbers on this server");
+    Ok(whole(name, value, 1, most as u64, &range)? as usize)
 }
 
 fn read<T: serde::de::DeserializeOwned>(value: Value) -> Answer<T> {
@@ -140,19 +141,16 @@ impl WorldSettings {
         if !arm.is_empty() {
             config.insert("arm".to_owned(), Value::Object(arm));
         }
-        let Frame { seed, num_envs, max_episode_steps, threads } = read(Value::Object(frame))?;
         let config: EpisodeConfig = read(Value::Object(config))?;
         config.validate()?;
 
-        if let Some(count) = num_envs
-            && !(1..=limits.max_num_envs).contains(&count)
-        {
-            let range = format!("[1, {}]", limits.max_num_envs);
-            return Err(out_of_range("num_envs", count, &range));
-        }
-        if !(1..=limits.max_threads).contains(&threads) {
-            return Err(out_of_range("threads", threads, &format!("[1, {}]", limits.max_threads)));
-        }
+        let seed = frame.get("seed").map(seed).transpose()?;
+        let num_envs = frame.get("num_envs");
+        let num_envs =
+            num_envs.map(|value| count("num_envs", value, limits.max_num_envs)).transpose()?;
+        let threads = frame
+            .get("threads")
+            .map_or(Ok(1), |value| count("threads", value, limits.max_threads))?;
         if config.arm.compartments > limits.max_compartments {
             let range = format!("[1, {}] of this server", limits.max_compartments);
             return Err(out_of_range("arm.compartments", config.arm.compartments, &range));
@@ -174,15 +172,12 @@ impl WorldSettings {
                 )));
             }
         }
-        let max_episode_steps = match max_episode_steps {
-            -1 => None,
-            1.. if max_episode_steps <= i64::from(u32::MAX) => Some(max_episode_steps as u64),
-            other => {
-                return Err(out_of_range(
-                    "max_episode_steps",
-                    other,
-                    "[1, 2^32), or -1 for no end",
-                ));
+        let max_episode_steps = match frame.get("max_episode_steps") {
+            None => Some(MAX_EPISODE_STEPS),
+            Some(value) if value.as_i64() == Some(-1) => None,
+            Some(value) => {
+                let range = "[1, 2^32) of whole numbers, or -1 for no end";
+                Some(whole("max_episode_steps", value, 1, u32::MAX.into(), range)? as u64)
             }
         };
         Ok(Self { config, seed, num_envs, max_episode_steps, threads })
@@ -215,17 +210,16 @@ impl NextReset {
                 quoted(name)
             )));
         }
-        let settings: Map<String, Value> = tensors
-            .iter()
-            .map(|(name, tensor)| Ok((name.clone(), to_json(name, tensor, 1)?)))
-            .collect::<Answer<_>>()?;
-        let next: Self = read(Value::Object(settings))?;
-        match next.phase {
-            Some(phase) if !(0.0..=1.0).contains(&phase) => {
-                Err(out_of_range("phase", phase, "[0, 1] turns"))
-            }
-            _ => Ok(next),
-        }
+        let value =
+            |name: &str| tensors.get(name).map(|tensor| to_json(name, tensor, 1)).transpose();
+        let phase = |value: Value| match value.as_f64() {
+            Some(phase) if (0.0..=1.0).contains(&phase) => Ok(phase),
+            _ => Err(out_of_range("phase", value, "[0, 1] turns")),
+        };
+        Ok(Self {
+            seed: value("seed")?.as_ref().map(seed).transpose()?,
+            phase: value("phase")?.map(phase).transpose()?,
+        })
     }
 
     /// What is asked for later goes before what was asked for earlier.
@@ -305,13 +299,21 @@ mod tests {
             ("arm.colour", integer(1), "unknown setting \"arm.colour\""),
             ("arm.timestep", scalar(-1.0), "timestep = -1"),
             ("arm.compartments", scalar(2.5), "arm.compartments: invalid type"),
-            ("seed", integer(-1), "seed: invalid value"),
-            ("seed", bools(vec![true], &[]), "seed: invalid type"),
-            ("num_envs", integer(0), "num_envs = 0"),
-            ("num_envs", integer(1_000_000), "num_envs = 1000000"),
-            ("threads", integer(0), "threads = 0"),
-            ("max_episode_steps", integer(0), "max_episode_steps = 0"),
-            ("max_episode_steps", integer(-2), "max_episode_steps = -2"),
+            ("seed", integer(-1), "seed = -1 is outside the allowed range [0, 2^64)"),
+            ("seed", bools(vec![true], &[]), "seed = true is outside the allowed range [0, 2^64)"),
+            ("num_envs", integer(0), "num_envs = 0 is outside the allowed range [1, 1024]"),
+            ("num_envs", integer(-1), "num_envs = -1 is outside the allowed range [1, 1024]"),
+            ("num_envs", scalar(2.5), "num_envs = 2.5 is outside the allowed range [1, 1024]"),
+            ("num_envs", unsigned(u64::MAX), "num_envs = 18446744073709551615 is outside"),
+            ("num_envs", text("many"), "num_envs = \"many\" is outside the allowed range"),
+            ("num_envs", doubles(vec![2.0; 2], &[2]), "num_envs = [2,2] is outside"),
+            ("threads", integer(0), "threads = 0 is outside the allowed range [1, "),
+            ("threads", scalar(2.0_f64.powi(70)), "threads = 1.1805916207174113e+21 is outside"),
+            ("threads", scalar(1.5), "threads = 1.5 is outside the allowed range [1, "),
+            ("max_episode_steps", integer(0), "max_episode_steps = 0 is outside"),
+            ("max_episode_steps", integer(-2), "max_episode_steps = -2 is outside"),
+            ("max_episode_steps", integer(1 << 32), "= 4294967296 is outside the allowed range"),
+            ("max_episode_steps", scalar(10.5), "= 10.5 is outside the allowed range [1, 2^32)"),
             ("control_period", scalar(0.0105), "control_period = 0.0105"),
         ] {
             let message = settings(&[(name, tensor)]).expect_err(name).message;
@@ -350,6 +352,12 @@ mod tests {
                 .contains("phase = 1.5")
         );
         assert!(read("amplitude", integer(3)).expect_err("bad").message.contains("amplitude"));
+        for (name, tensor, expected) in [
+            ("seed", integer(-1), "seed = -1 is outside the allowed range [0, 2^64)"),
+            ("phase", text("half"), "phase = \"half\" is outside the allowed range [0, 1] turns"),
+        ] {
+            assert!(read(name, tensor).expect_err(name).message.contains(expected));
+        }
         let mut first = NextReset { seed: Some(1), phase: Some(0.5) };
         first.overlay(NextReset { seed: Some(2), phase: None });
         assert_eq!(first, NextReset { seed: Some(2), phase: Some(0.5) });
