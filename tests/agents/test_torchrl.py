@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import re
 import subprocess
 import sys
@@ -18,7 +19,17 @@ import octoarm_env
 from octoarm_env.wrappers import Strain
 
 torch = pytest.importorskip("torch")
-envs = pytest.importorskip("torchrl.envs")
+
+
+def torchrl_envs() -> Any:
+    """Import torchrl's environments, and undo that it says how this whole process starts others."""
+    before = multiprocessing.get_start_method(allow_none=True)
+    found = pytest.importorskip("torchrl.envs")
+    multiprocessing.set_start_method(before, force=True)
+    return found
+
+
+envs = torchrl_envs()
 
 INFOS = {"base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"}
 

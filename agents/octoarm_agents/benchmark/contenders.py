@@ -172,7 +172,8 @@ def make_contenders() -> list[Contender]:
         (SYNC, SyncVectorEnv, SYNC_ENVS),
         (ASYNC, AsyncVectorEnv, ASYNC_ENVS),
     ):
-        make = [lambda: gym.make("OctoArm-v0", control_period=CONTROL_PERIOD)] * count
+        # With its module, for processes that begin without what this one has imported.
+        make = [lambda: gym.make("octoarm_env:OctoArm-v0", control_period=CONTROL_PERIOD)] * count
         loop = kind(make, autoreset_mode=AutoresetMode.SAME_STEP)
         contenders.append(_vector_environment(name, loop))
     if has_mujoco():
