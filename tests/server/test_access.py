@@ -51,7 +51,7 @@ OPTIONS = {
     "max-num-envs": 4,
     "max-arms": 100,
     "max-compartments": 20,
-    "max-physics-steps": 8000,
+    "max-physics-steps": 15_600,
     "max-threads": 1,
     "max-message-size": 100_000,
     "max-connections": 100,
@@ -485,10 +485,18 @@ def test_arms_of_the_server_are_limited() -> None:
             3,
             r"arm.compartments = 6 .*\[1, 5\]",
         ),
-        # 10 steps an arm, and 756 times as many for the swing that episodes begin from.
-        ("--max-physics-steps", "8000", {"num_envs": 800}, {"num_envs": 801}, 8, "8010 physics"),
-        ("--max-physics-steps", "7560", {}, {"control_period": 0.011}, 8, "swing .* allows 7560"),
-        ("--max-physics-steps", "7560", {}, {"arm__compartments": 21}, 8, "7938 physics"),
+        # 100 steps an arm, and 385 times as many for the swing that episodes begin from.
+        (
+            "--max-physics-steps",
+            "40000",
+            {"num_envs": 400, "control_period": 0.1},
+            {"num_envs": 401, "control_period": 0.1},
+            8,
+            "40100 physics",
+        ),
+        # 10 steps, and 1555 times as many.
+        ("--max-physics-steps", "15550", {}, {"control_period": 0.011}, 8, "swing .* allows 15550"),
+        ("--max-physics-steps", "15550", {}, {"arm__compartments": 21}, 8, "16328 physics"),
     ],
 )
 def test_worlds_are_limited_in_size(
@@ -567,7 +575,7 @@ def test_every_option_may_stand_in_a_file(
     ):
         assert json.loads(server.log.splitlines()[0])["message"] == "listening"
         assert refusal(client, num_envs=5).code == INVALID_ARGUMENT
-        assert "allows 8000" in refusal(client, control_period=0.02).message
+        assert "allows 15600" in refusal(client, control_period=0.02).message
         client.create()
         # The command line goes before the file.
         assert "of the 1 that this server may have" in refusal(client).message

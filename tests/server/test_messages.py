@@ -395,7 +395,7 @@ def assert_proper(request: pb.EnvironmentRequest, response: pb.EnvironmentRespon
 
 def test_well_formed_nonsense() -> None:
     # What is allowed must be quick.
-    limits = ("--max-physics-steps", "10000", "--max-num-envs", "4")
+    limits = ("--max-physics-steps", "16000", "--max-num-envs", "4")
     with (
         ServerProcess("--metrics-port", "0", *limits) as server,
         nothing_left(server),
