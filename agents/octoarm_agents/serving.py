@@ -73,10 +73,11 @@ class ServerProcess:
     def __init__(self, *arguments: str, environment: Mapping[str, str] | None = None) -> None:
         if "--port" not in arguments:
             arguments = ("--port", "0", *arguments)
+        program = find_program()
         # Kept open as long as the server writes into it.
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
         self.process = subprocess.Popen(
-            [str(find_program()), *arguments],
+            [str(program), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=self._log,
