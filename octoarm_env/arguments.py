@@ -39,8 +39,8 @@ def thread_count(threads: Any) -> int | None:
 
 def whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
     """Give an integer from `low` to `high`; True and 1.0 are none."""
-    most = "" if high is None else f" to {high}"
-    wanted = f"expected a whole number from {low}{most or ' on'}"
+    allowed = f", at least {low}" if high is None else f" from {low} to {high}"
+    wanted = f"expected a whole number{allowed}"
     if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
         raise TypeError(f"{name} = {value!r}: {wanted}")
     number = operator.index(value)

@@ -252,7 +252,7 @@ def test_fuzzed_actions() -> None:
 @pytest.mark.parametrize(
     ("arguments", "kind", "words"),
     [
-        ({"num_envs": 0}, ValueError, "num_envs = 0: expected a whole number from 1"),
+        ({"num_envs": 0}, ValueError, "num_envs = 0: expected a whole number, at least 1"),
         ({"num_envs": 2.5}, TypeError, "num_envs = 2.5"),
         ({"threads": 0}, ValueError, "threads = 0: .* 1 to 1024"),
         ({"threads": -1}, ValueError, "threads = -1"),

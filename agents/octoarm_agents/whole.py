@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any
+
+from octoarm_env import arguments
 
 __all__ = ["whole_fields", "whole_number"]
 
@@ -20,12 +21,9 @@ def whole_number(name: str, value: Any, low: int = 0) -> int:
         ValueError: no whole number (10.0 is none, nor is True), or one below `low`.
     """
     try:
-        number = operator.index(value)
-    except TypeError:
-        number = low - 1
-    if number < low or isinstance(value, bool):
-        raise ValueError(f"{name} = {value!r}: expected a whole number, at least {low}") from None
-    return number
+        return arguments.whole_number(name, value, low)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
 
 
 def whole_fields(instance: Any, **lows: int) -> None:
