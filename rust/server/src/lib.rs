@@ -5,8 +5,8 @@
 //! batch of them; a client makes worlds, joins one a stream, and steps it. What an episode is, is not
 //! decided here.
 
-mod arena;
 mod auth;
+mod environment;
 mod listener;
 mod metrics;
 mod options;
@@ -16,11 +16,13 @@ mod reply;
 mod server;
 mod service;
 mod session;
+mod sessions;
 mod settings;
 mod specs;
 mod tensor;
 mod world;
 mod world_settings;
+mod worlds;
 
 pub use options::Options;
 pub use server::{ServeError, Server};

@@ -41,7 +41,7 @@ pub(crate) fn peer_of(extensions: &Extensions) -> Option<Peer> {
 
 /// How many connections there may be, and for how long.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Patience {
+pub(crate) struct ConnectionLimits {
     /// Connections at a time; more wait.
     pub(crate) most: usize,
     /// Time in which something must be read, or could be written if there is something to write. A
@@ -196,17 +196,17 @@ impl axum::serve::Listener for Listener {
 /// The connections of the gRPC port.
 pub(crate) fn connections(
     listener: TcpListener,
-    patience: Patience,
+    limits: ConnectionLimits,
     metrics: Arc<Metrics>,
 ) -> impl Stream<Item = io::Result<Connection>> {
-    let listener = Listener::new(listener, patience.most, patience.silence);
+    let listener = Listener::new(listener, limits.most, limits.silence);
     async_stream::stream! {
         loop {
             let mut accepted = listener.next().await;
             let Peer { connection, address, .. } = accepted.peer;
             tracing::debug!(connection, %address, "connection opened");
             metrics.connections.inc();
-            accepted.probation = Some(Box::pin(tokio::time::sleep(patience.probation)));
+            accepted.probation = Some(Box::pin(tokio::time::sleep(limits.probation)));
             accepted.open = Some(Open { metrics: Arc::clone(&metrics), connection });
             yield Ok(accepted);
         }

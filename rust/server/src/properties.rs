@@ -5,7 +5,7 @@ use prost::Message as _;
 use prost_types::Any;
 use tonic::Code;
 
-use crate::arena::{Arena, Body};
+use crate::environment::{Environment, Episodes};
 use crate::protocol::extensions::properties::property_request::Payload as Request;
 use crate::protocol::extensions::properties::property_response::Payload as Response;
 use crate::protocol::extensions::properties::{
@@ -16,7 +16,6 @@ use crate::protocol::tensor::{Payload, StringArray};
 use crate::protocol::{Tensor, TensorSpec};
 use crate::reply::{Answer, Refusal, quoted};
 use crate::tensor;
-use crate::world::Worlds;
 
 const REQUEST: &str = "dm_env_rpc.v1.extensions.properties.PropertyRequest";
 const RESPONSE: &str = "dm_env_rpc.v1.extensions.properties.PropertyResponse";
@@ -102,18 +101,19 @@ impl Property {
         matches!(self, P::ElapsedSteps | P::Seed | P::State)
     }
 
-    /// Those that there are for a stream that has joined these arms, or none.
-    fn known(arena: Option<&Arena>) -> impl Iterator<Item = Self> {
-        let single = arena.is_some_and(|arena| matches!(arena.body, Body::Single(_)));
-        let joined = if arena.is_some() { &Self::JOINED[..] } else { &[] };
+    /// Those that there are for a stream that has joined this environment, or none.
+    fn known(environment: Option<&Environment>) -> impl Iterator<Item = Self> {
+        let single =
+            environment.is_some_and(|joined| matches!(joined.episodes, Episodes::Single(_)));
+        let joined = if environment.is_some() { &Self::JOINED[..] } else { &[] };
         let single = if single { &Self::SINGLE[..] } else { &[] };
         Self::UNIVERSAL.iter().chain(joined).chain(single).copied()
     }
 
-    fn find(key: &str, arena: Option<&Arena>) -> Answer<Self> {
-        Self::known(arena).find(|property| property.key() == key).ok_or_else(|| {
-            let known: Vec<&str> = Self::known(arena).map(Self::key).collect();
-            let more = if arena.is_none() { "; more when a world is joined" } else { "" };
+    fn find(key: &str, environment: Option<&Environment>) -> Answer<Self> {
+        Self::known(environment).find(|property| property.key() == key).ok_or_else(|| {
+            let known: Vec<&str> = Self::known(environment).map(Self::key).collect();
+            let more = if environment.is_none() { "; more when a world is joined" } else { "" };
             let message =
                 format!("key = {} is unknown; known are {}{more}", quoted(key), known.join(", "));
             Refusal::new(Code::NotFound, message)
@@ -121,56 +121,47 @@ impl Property {
     }
 }
 
-/// The arms of the world that a stream has joined.
-pub(crate) type Joined<'a> = Option<&'a mut Arena>;
+/// The environment that a stream has joined.
+pub(crate) type Joined<'a> = Option<&'a mut Environment>;
 
 fn json<T: serde::Serialize>(value: &T) -> Answer<Tensor> {
     let text = serde_json::to_string(value);
     text.map(tensor::text).map_err(|error| Refusal::new(Code::Internal, error.to_string()))
 }
 
-fn read(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Tensor> {
-    let arena = match (property, joined) {
+fn read(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Tensor> {
+    let episodes = match (property, joined) {
         (P::Version, _) => return Ok(tensor::text(env!("CARGO_PKG_VERSION"))),
-        (P::Worlds, _) => return Ok(tensor::integer(worlds.len() as i64)),
-        (_, Some(arena)) => arena,
+        (P::Worlds, _) => return Ok(tensor::integer(worlds as i64)),
+        (_, Some(environment)) => &environment.episodes,
         (_, None) => return Err(Refusal::precondition("no world is joined")),
     };
-    let swing = match &arena.body {
-        Body::Single(episode) => episode.swing(),
-        Body::Batch(batch) => batch.swing(0),
-    };
+    let swing = episodes.swing();
     let scalar = |value: f64| Ok(tensor::doubles(vec![value], &[]));
     let table = |rows: &[[f64; 2]]| {
         Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 2]))
     };
-    match (property, &arena.body) {
-        (P::Settings, _) => {
-            let config = match &arena.body {
-                Body::Single(episode) => episode.config(),
-                Body::Batch(batch) => batch.config(0),
-            };
-            Ok(tensor::text(config.to_json()?))
-        }
+    match (property, episodes) {
+        (P::Settings, _) => Ok(tensor::text(episodes.config().to_json()?)),
         (P::Amplitude, _) => scalar(swing.orbit.amplitude()),
         (P::Period, _) => scalar(swing.orbit.period()),
         (P::Orbit, _) => table(swing.orbit.table()),
-        (P::ActionRange, Body::Single(episode)) => scalar(episode.action_range()),
-        (P::ActionRange, Body::Batch(batch)) => scalar(batch.action_ranges()[0]),
-        (P::TeacherAction, Body::Single(episode)) => {
+        (P::ActionRange, Episodes::Single(episode)) => scalar(episode.action_range()),
+        (P::ActionRange, Episodes::Batch(batch)) => scalar(batch.action_ranges()[0]),
+        (P::TeacherAction, Episodes::Single(episode)) => {
             Ok(tensor::doubles(episode.teacher_action().to_vec(), &[2]))
         }
-        (P::TeacherAction, Body::Batch(batch)) => table(&batch.teacher_actions()),
-        (P::State, Body::Single(episode)) => json(&episode.state()),
-        (P::State, Body::Batch(batch)) => json(&batch.state()),
-        (P::ElapsedSteps, Body::Single(episode)) => {
+        (P::TeacherAction, Episodes::Batch(batch)) => table(&batch.teacher_actions()),
+        (P::State, Episodes::Single(episode)) => json(&episode.state()),
+        (P::State, Episodes::Batch(batch)) => json(&batch.state()),
+        (P::ElapsedSteps, Episodes::Single(episode)) => {
             Ok(tensor::integer(episode.elapsed().cast_signed()))
         }
-        (P::ArmPositions, Body::Single(episode)) => {
+        (P::ArmPositions, Episodes::Single(episode)) => {
             let rows = episode.arm().positions();
             Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 3]))
         }
-        (P::ArmJoints, Body::Single(episode)) => {
+        (P::ArmJoints, Episodes::Single(episode)) => {
             let planes = episode.arm().joints();
             let flat = planes.as_flattened().as_flattened().to_vec();
             Ok(tensor::doubles(flat, &[planes.len() as i32, 4, 3]))
@@ -187,19 +178,19 @@ fn state_error(error: ParameterError) -> Refusal {
 
 fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<()> {
     let key = property.key();
-    let Some(arena) = joined else {
+    let Some(environment) = joined else {
         let message = format!("{key} cannot be written");
         return Err(Refusal::new(Code::PermissionDenied, message));
     };
-    match (property, &mut arena.body) {
+    match (property, &mut environment.episodes) {
         (P::Seed, _) => {
             let json = tensor::to_json(key, value, 1)?;
             let seed = json.as_u64().ok_or_else(|| {
                 Refusal::invalid(format!("seed = {json} is outside the allowed range [0, 2^64)"))
             })?;
-            arena.seed(seed);
+            environment.seed(seed);
         }
-        (P::ElapsedSteps, Body::Single(episode)) => {
+        (P::ElapsedSteps, Episodes::Single(episode)) => {
             let json = tensor::to_json(key, value, 1)?;
             let steps = json.as_u64().filter(|steps| *steps < 1 << 32);
             episode.set_elapsed(steps.ok_or_else(|| {
@@ -208,22 +199,22 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
                 ))
             })?);
         }
-        (P::State, body) => {
+        (P::State, episodes) => {
             let text = match &value.payload {
                 Some(Payload::Strings(StringArray { array })) if array.len() == 1 => &array[0],
                 _ => return Err(Refusal::invalid("state: expected one text, as it was read")),
             };
-            match body {
-                Body::Single(episode) => {
+            match episodes {
+                Episodes::Single(episode) => {
                     let state = octoarm_arm::read_json(text);
                     state.and_then(|state| episode.set_state(&state)).map_err(state_error)?;
                 }
-                Body::Batch(batch) => {
+                Episodes::Batch(batch) => {
                     let state = octoarm_arm::read_json(text);
                     state.and_then(|state| batch.set_state(&state)).map_err(state_error)?;
                 }
             }
-            arena.restored();
+            environment.restored();
         }
         _ => {
             let message = format!("{key} cannot be written");
@@ -233,7 +224,7 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
     Ok(())
 }
 
-fn spec(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<PropertySpec> {
+fn spec(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<PropertySpec> {
     let example = match property {
         P::Settings => tensor::text(""),
         P::Seed => tensor::unsigned(0),
@@ -254,8 +245,9 @@ fn spec(property: Property, worlds: &Worlds, joined: &Joined<'_>) -> Answer<Prop
     })
 }
 
-/// Answers a request of an extension; the properties are the one that there is.
-pub(crate) fn answer(request: &Any, worlds: &Worlds, mut joined: Joined<'_>) -> Answer<Any> {
+/// Answers a request of an extension, on a server with so many worlds; the properties are the one
+/// that there is.
+pub(crate) fn answer(request: &Any, worlds: usize, mut joined: Joined<'_>) -> Answer<Any> {
     if request.type_url.rsplit('/').next() != Some(REQUEST) {
         let message =
             format!("extension {} is unknown; known is {REQUEST}", quoted(&request.type_url));

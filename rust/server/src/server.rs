@@ -17,12 +17,12 @@ use tonic::transport::server::ServerTlsConfig;
 use tonic::transport::{Identity, Server as Transport};
 
 use crate::auth::Guard;
-use crate::listener::{Listener, Patience, connections};
+use crate::listener::{ConnectionLimits, Listener, connections};
 use crate::metrics::Metrics;
 use crate::protocol::DESCRIPTORS;
 use crate::protocol::environment_server::EnvironmentServer;
 use crate::service::Service;
-use crate::session::Hub;
+use crate::sessions::Sessions;
 use crate::settings::Settings;
 
 /// Bytes of requests on their way to a connection's streams.
@@ -31,7 +31,7 @@ const CONNECTION_WINDOW: u32 = 8 << 20;
 const MOST_READERS: usize = 16;
 const READER_SILENCE: Duration = Duration::from_secs(10);
 /// Time after the last stream's end in which answers go out when the server stops.
-const QUIET: Duration = Duration::from_millis(300);
+const DRAINED: Duration = Duration::from_millis(300);
 
 /// Why the server cannot serve.
 #[derive(Debug, Error)]
@@ -104,10 +104,10 @@ async fn serve_metrics(listener: Listener, metrics: Arc<Metrics>, stop: Cancella
 
 /// Completes when there has been no stream for a while: what is open then are connections without
 /// one, or those that only watch.
-async fn quiet(metrics: &Metrics) {
+async fn drained(metrics: &Metrics) {
     let mut since = Instant::now();
-    while since.elapsed() < QUIET {
-        tokio::time::sleep(QUIET / 10).await;
+    while since.elapsed() < DRAINED {
+        tokio::time::sleep(DRAINED / 10).await;
         if metrics.streams.get() > 0 {
             since = Instant::now();
         }
@@ -176,13 +176,13 @@ impl Server {
         let limits = settings.limits.clone();
         let metrics = Metrics::new();
         let stop = CancellationToken::new();
-        let hub =
-            Hub::new(limits.clone(), Arc::clone(&metrics), stop.clone(), settings.server_threads);
+        let threads = settings.server_threads;
+        let sessions = Sessions::new(limits.clone(), Arc::clone(&metrics), stop.clone(), threads);
 
         let (health, health_service) = tonic_health::server::health_reporter();
         health.set_serving::<EnvironmentServer<Service>>().await;
         let guard = Guard { token: settings.token.clone(), metrics: Arc::clone(&metrics) };
-        let environment = EnvironmentServer::new(Service { hub: Arc::clone(&hub) })
+        let environment = EnvironmentServer::new(Service { sessions: Arc::clone(&sessions) })
             .max_decoding_message_size(limits.max_message_size);
         let reflection = |error: tonic_reflection::server::Error| transport_error(&error);
         let files = || {
@@ -203,15 +203,15 @@ impl Server {
                 guard,
             ));
         let life = limits.keepalive_interval + limits.keepalive_timeout;
-        let patience = Patience {
+        let connection_limits = ConnectionLimits {
             most: limits.max_connections,
             // Twice, so that a connection is first given up by the transport, which says goodbye.
             silence: 2 * life,
             probation: life,
         };
-        let incoming = connections(listener, patience, Arc::clone(&metrics));
+        let incoming = connections(listener, connection_limits, Arc::clone(&metrics));
 
-        let watch = tokio::spawn(Arc::clone(&hub).keep_watch());
+        let watch = tokio::spawn(sessions.keep_watch());
         let scraped = metrics_listener
             .map(|listener| Listener::new(listener, MOST_READERS, READER_SILENCE))
             .map(|listener| {
@@ -234,7 +234,7 @@ impl Server {
                 stop.cancel();
                 tokio::select! {
                     result = serving => result,
-                    () = quiet(&metrics) => {
+                    () = drained(&metrics) => {
                         tracing::debug!("no stream is left; open connections are broken off");
                         Ok(())
                     }

@@ -4,11 +4,12 @@ use octoarm_env::{EpisodeConfig, Outcome, Reading, Word};
 
 use crate::protocol::tensor::DoubleArray;
 use crate::protocol::tensor_spec::{Value, value};
-use crate::protocol::{ActionObservationSpecs, DataType, TensorSpec};
+use crate::protocol::{ActionObservationSpecs, DataType, StepRequest, TensorSpec};
 use crate::reply::{Answer, Refusal};
+use crate::tensor::doubles_of;
 
 /// Number of the one action.
-pub(crate) const ACTION: u64 = 1;
+const ACTION: u64 = 1;
 
 /// What can be observed; its number on the wire is its place here, from 1.
 #[derive(Clone, Copy, Debug)]
@@ -28,7 +29,7 @@ impl Observation {
     }
 
     /// The observation of a number on the wire.
-    pub(crate) fn of(uid: u64) -> Answer<Self> {
+    fn of(uid: u64) -> Answer<Self> {
         let place = usize::try_from(uid).ok().and_then(|uid| uid.checked_sub(1));
         place.and_then(|place| Self::all().nth(place)).ok_or_else(|| {
             Refusal::invalid(format!(
@@ -115,8 +116,7 @@ impl Specs {
         self.batch.iter().chain(shape).copied().collect()
     }
 
-    /// The action's shape.
-    pub(crate) fn action_shape(&self) -> Vec<i32> {
+    fn action_shape(&self) -> Vec<i32> {
         self.rows(&[2])
     }
 
@@ -127,5 +127,31 @@ impl Specs {
             Observation::Word(Word { reading: Reading::Angles(_), .. }) => self.rows(&[2]),
             Observation::Word(_) => self.rows(&[]),
         }
+    }
+
+    /// What a step is to bring, each once, with its number on the wire.
+    pub(crate) fn wanted(&self, request: &StepRequest) -> Answer<Vec<(u64, Observation)>> {
+        let mut wanted = Vec::with_capacity(request.requested_observations.len().min(16));
+        for uid in &request.requested_observations {
+            let observation = Observation::of(*uid)?;
+            if wanted.iter().all(|(known, _)| known != uid) {
+                wanted.push((*uid, observation));
+            }
+        }
+        Ok(wanted)
+    }
+
+    /// The action of every arm, if the request has any.
+    pub(crate) fn actions(&self, request: &StepRequest) -> Answer<Option<Vec<[f64; 2]>>> {
+        let mut actions = None;
+        for (uid, tensor) in &request.actions {
+            if *uid != ACTION {
+                let message = format!("action {uid} is unknown; known is {ACTION}");
+                return Err(Refusal::invalid(message));
+            }
+            let flat = doubles_of("action", tensor, &self.action_shape())?;
+            actions = Some(flat.as_chunks::<2>().0.to_vec());
+        }
+        Ok(actions)
     }
 }

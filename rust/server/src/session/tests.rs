@@ -2,35 +2,39 @@
 
 #![allow(clippy::panic)]
 
+use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::sync::atomic::AtomicU64 as Number;
+use std::sync::atomic::{AtomicU64 as Number, Ordering};
+use std::time::Duration;
 
 use proptest::collection::{btree_map, vec};
 use proptest::prelude::*;
 use tokio::runtime::Runtime;
 
 use super::*;
+use crate::metrics::Metrics;
 use crate::protocol::tensor::{
     BoolArray, DoubleArray, FloatArray, Int8Array, Int64Array, Payload, ProtoArray, StringArray,
     Uint64Array,
 };
 use crate::protocol::{EnvironmentStateType as State, Tensor};
+use crate::settings::Limits;
 use crate::tensor::{doubles, integer, text};
 
 fn limits() -> Limits {
     Limits { max_physics_steps: 20_000, max_num_envs: 40, max_worlds: 64, ..Limits::default() }
 }
 
-fn hub(limits: Limits) -> Arc<Hub> {
-    Hub::new(limits, Metrics::new(), CancellationToken::new(), 2)
+fn sessions(limits: Limits) -> Arc<Sessions> {
+    Sessions::new(limits, Metrics::new(), CancellationToken::new(), 2)
 }
 
 /// A stream over a connection of its own.
-fn open(hub: &Arc<Hub>) -> Session {
+fn open(sessions: &Arc<Sessions>) -> Session {
     static CONNECTIONS: Number = Number::new(1);
     let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
     let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    Session::new(Arc::clone(hub), Peer { connection, address, accepted: Arc::default() })
+    Session::new(Arc::clone(sessions), Peer { connection, address, accepted: Arc::default() })
 }
 
 async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
@@ -90,6 +94,11 @@ fn run(test: impl Future<Output = ()>) {
     Runtime::new().expect("runtime").block_on(test);
 }
 
+/// Whether a reset waits for the stream's client.
+fn awaited(session: &Session) -> bool {
+    session.agent().is_ok_and(|agent| agent.world.awaited())
+}
+
 /// Waits until something holds, for a while.
 async fn until(holds: impl Fn() -> bool) {
     for _ in 0..2000 {
@@ -104,23 +113,23 @@ async fn until(holds: impl Fn() -> bool) {
 #[test]
 fn an_ended_stream_frees_what_it_made() {
     run(async {
-        let hub = hub(limits());
-        let mut session = open(&hub);
+        let sessions = sessions(limits());
+        let mut session = open(&sessions);
         let world = create(&mut session, &[]).await;
         create(&mut session, &[("num_envs", integer(3))]).await;
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
-        assert_eq!((hub.worlds.len(), hub.metrics.worlds.get()), (2, 2));
+        assert_eq!((sessions.worlds.len(), sessions.metrics.worlds.get()), (2, 2));
         drop(session);
-        assert_eq!((hub.worlds.len(), hub.metrics.worlds.get()), (0, 0));
-        assert_eq!((hub.metrics.streams.get(), hub.streams().len()), (0, 0));
+        assert_eq!((sessions.worlds.len(), sessions.metrics.worlds.get()), (0, 0));
+        assert_eq!((sessions.metrics.streams.get(), sessions.len()), (0, 0));
     });
 }
 
 #[test]
 fn a_world_takes_one_client_and_outlives_its_maker_with_it() {
     run(async {
-        let hub = hub(limits());
-        let (mut maker, mut other, mut third) = (open(&hub), open(&hub), open(&hub));
+        let sessions = sessions(limits());
+        let (mut maker, mut other, mut third) = (open(&sessions), open(&sessions), open(&sessions));
         let world = create(&mut maker, &[]).await;
         assert_eq!(code(&mut other, join_of(&world)).await, Code::Ok);
         assert_eq!(code(&mut third, join_of(&world)).await, Code::FailedPrecondition);
@@ -131,15 +140,15 @@ fn a_world_takes_one_client_and_outlives_its_maker_with_it() {
         assert_eq!(state(&mut other).await, State::Running);
         drop(other);
         assert_eq!(code(&mut third, join_of(&world)).await, Code::NotFound);
-        assert_eq!(hub.metrics.worlds.get(), 0);
+        assert_eq!(sessions.metrics.worlds.get(), 0);
     });
 }
 
 #[test]
 fn who_leaves_can_join_again_and_begins_anew() {
     run(async {
-        let hub = hub(limits());
-        let mut session = open(&hub);
+        let sessions = sessions(limits());
+        let mut session = open(&sessions);
         let world = create(&mut session, &[("seed", integer(1))]).await;
         assert_eq!(code(&mut session, step_of(&[])).await, Code::FailedPrecondition);
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
@@ -161,8 +170,8 @@ fn who_leaves_can_join_again_and_begins_anew() {
 #[test]
 fn a_reset_world_waits_for_the_client_that_has_joined() {
     run(async {
-        let hub = hub(limits());
-        let (mut maker, mut agent) = (open(&hub), open(&hub));
+        let sessions = sessions(limits());
+        let (mut maker, mut agent) = (open(&sessions), open(&sessions));
         let world = create(&mut maker, &[("seed", integer(1))]).await;
         assert_eq!(code(&mut maker, reset_world_of(&world)).await, Code::Ok);
         assert_eq!(code(&mut agent, join_of(&world)).await, Code::Ok);
@@ -173,7 +182,7 @@ fn a_reset_world_waits_for_the_client_that_has_joined() {
             let world = world.clone();
             tokio::spawn(async move { code(&mut maker, reset_world_of(&world)).await })
         };
-        until(|| agent.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        until(|| awaited(&agent)).await;
         assert!(!waiting.is_finished());
         // A request that is refused changes nothing.
         assert_eq!(code(&mut agent, step_of(&[99])).await, Code::InvalidArgument);
@@ -188,11 +197,11 @@ fn a_reset_world_waits_for_the_client_that_has_joined() {
 
         // A client that leaves has seen the end too.
         let own = create(&mut agent, &[]).await;
-        let mut owner = open(&hub);
+        let mut owner = open(&sessions);
         assert_eq!(code(&mut owner, join_of(&own)).await, Code::Ok);
         assert_eq!(state(&mut owner).await, State::Running);
         let waiting = tokio::spawn(async move { code(&mut agent, reset_world_of(&own)).await });
-        until(|| owner.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        until(|| awaited(&owner)).await;
         drop(owner);
         assert_eq!(waiting.await.expect("task"), Code::Ok);
     });
@@ -206,8 +215,8 @@ fn long_world() -> [(&'static str, Tensor); 2] {
 #[test]
 fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
     run(async {
-        let hub = hub(Limits { max_physics_steps: 1_000_000, ..limits() });
-        let mut session = open(&hub);
+        let sessions = sessions(Limits { max_physics_steps: 1_000_000, ..limits() });
+        let mut session = open(&sessions);
         let world = create(&mut session, &long_world()).await;
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
         assert_eq!(state(&mut session).await, State::Running);
@@ -216,18 +225,19 @@ fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
         let step = tokio::spawn(async move { state(&mut session).await });
         tokio::time::sleep(Duration::from_millis(2)).await;
         step.abort();
-        until(|| hub.metrics.worlds.get() == 0).await;
-        assert_eq!(hub.worlds.len(), 0);
+        until(|| sessions.metrics.worlds.get() == 0).await;
+        assert_eq!(sessions.worlds.len(), 0);
     });
 }
 
 #[test]
 fn streams_that_end_while_they_wait_for_their_turn_lose_no_world() {
     run(async {
-        let hub = hub(Limits { max_physics_steps: 1_000_000, max_threads: 1, ..limits() });
+        let sessions =
+            sessions(Limits { max_physics_steps: 1_000_000, max_threads: 1, ..limits() });
         let mut steps = Vec::new();
         for _ in 0..6 {
-            let mut session = open(&hub);
+            let mut session = open(&sessions);
             let world = create(&mut session, &long_world()).await;
             assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
             assert_eq!(state(&mut session).await, State::Running);
@@ -238,18 +248,41 @@ fn streams_that_end_while_they_wait_for_their_turn_lose_no_world() {
             .map(|mut session| tokio::spawn(async move { state(&mut session).await }))
             .collect();
         tokio::time::sleep(Duration::from_millis(5)).await;
-        assert_eq!(hub.metrics.worlds.get(), 6);
+        assert_eq!(sessions.metrics.worlds.get(), 6);
         steps.iter().for_each(tokio::task::JoinHandle::abort);
-        until(|| hub.metrics.worlds.get() == 0).await;
-        assert_eq!((hub.worlds.len(), hub.streams().len()), (0, 0));
+        until(|| sessions.metrics.worlds.get() == 0).await;
+        assert_eq!((sessions.worlds.len(), sessions.len()), (0, 0));
+    });
+}
+
+#[test]
+fn a_world_that_a_panic_has_left_is_given_up() {
+    run(async {
+        let sessions = sessions(limits());
+        let mut session = open(&sessions);
+        let world = create(&mut session, &[]).await;
+        assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
+        assert_eq!(state(&mut session).await, State::Running);
+        let agent = session.agent().expect("joined");
+        let work = move || {
+            let _environment = agent.world.environment();
+            panic!("while the environment is locked");
+        };
+        assert!(tokio::task::spawn_blocking(work).await.is_err());
+        assert_eq!(code(&mut session, step_of(&[])).await, Code::Internal);
+        assert_eq!((sessions.worlds.len(), sessions.metrics.worlds.get()), (0, 0));
+        assert_eq!(code(&mut session, step_of(&[])).await, Code::FailedPrecondition);
+        let world = create(&mut session, &[]).await;
+        assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
+        assert_eq!(state(&mut session).await, State::Running);
     });
 }
 
 #[test]
 fn two_clients_do_not_wait_for_each_other() {
     run(async {
-        let hub = hub(limits());
-        let (mut first, mut second) = (open(&hub), open(&hub));
+        let sessions = sessions(limits());
+        let (mut first, mut second) = (open(&sessions), open(&sessions));
         let one = create(&mut first, &[]).await;
         let two = create(&mut second, &[]).await;
         assert_eq!(code(&mut first, join_of(&one)).await, Code::Ok);
@@ -261,32 +294,32 @@ fn two_clients_do_not_wait_for_each_other() {
                 (first, waited)
             })
         };
-        until(|| second.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        until(|| awaited(&second)).await;
         assert_eq!(code(&mut second, reset_world_of(&one)).await, Code::FailedPrecondition);
         assert_eq!(state(&mut second).await, State::Running);
         let (mut first, waited) = waiting.await.expect("task");
         assert_eq!(waited, Code::Ok);
         // Who waits no longer can be waited for.
         let again = tokio::spawn(async move { code(&mut second, reset_world_of(&one)).await });
-        until(|| first.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        until(|| awaited(&first)).await;
         state(&mut first).await;
         assert_eq!(again.await.expect("task"), Code::Ok);
-        assert_eq!(hub.worlds.len(), 1);
+        assert_eq!(sessions.worlds.len(), 1);
     });
 }
 
 #[test]
 fn the_wish_of_who_has_gone_is_forgotten() {
     run(async {
-        let hub = hub(limits());
-        let (mut maker, mut agent) = (open(&hub), open(&hub));
+        let sessions = sessions(limits());
+        let (mut maker, mut agent) = (open(&sessions), open(&sessions));
         let world = create(&mut maker, &[]).await;
         assert_eq!(code(&mut agent, join_of(&world)).await, Code::Ok);
         assert_eq!(state(&mut agent).await, State::Running);
         let waiting = tokio::spawn(async move { code(&mut maker, reset_world_of(&world)).await });
-        until(|| agent.record.seat().as_ref().is_some_and(|seat| seat.world.attention())).await;
+        until(|| awaited(&agent)).await;
         waiting.abort();
-        until(|| hub.metrics.streams.get() == 1).await;
+        until(|| sessions.metrics.streams.get() == 1).await;
         assert_eq!(state(&mut agent).await, State::Running);
     });
 }
@@ -294,8 +327,8 @@ fn the_wish_of_who_has_gone_is_forgotten() {
 #[test]
 fn many_arms_count_by_their_size() {
     run(async {
-        let hub = hub(Limits { max_arms: 10, ..limits() });
-        let mut session = open(&hub);
+        let sessions = sessions(Limits { max_arms: 10, ..limits() });
+        let mut session = open(&sessions);
         let batch = |arms: i64, compartments: i64| {
             let pairs = [("num_envs", integer(arms)), ("arm.compartments", integer(compartments))];
             Request::CreateWorld(CreateWorldRequest { settings: settings(&pairs) })
@@ -311,16 +344,16 @@ fn many_arms_count_by_their_size() {
 #[test]
 fn idle_streams_lose_their_worlds_even_if_nobody_serves_them() {
     run(async {
-        let hub = hub(Limits { idle_timeout: Duration::from_millis(20), ..limits() });
-        let mut session = open(&hub);
+        let sessions = sessions(Limits { idle_timeout: Duration::from_millis(20), ..limits() });
+        let mut session = open(&sessions);
         let world = create(&mut session, &[]).await;
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
         tokio::time::sleep(Duration::from_millis(30)).await;
-        hub.end_idle();
+        sessions.end_idle();
         assert!(session.idle().is_cancelled());
-        assert_eq!((hub.metrics.worlds.get(), hub.metrics.idle.get()), (0, 1));
-        hub.end_idle();
-        assert_eq!(hub.metrics.idle.get(), 1);
+        assert_eq!((sessions.metrics.worlds.get(), sessions.metrics.idle.get()), (0, 1));
+        sessions.end_idle();
+        assert_eq!(sessions.metrics.idle.get(), 1);
     });
 }
 
@@ -328,8 +361,8 @@ fn idle_streams_lose_their_worlds_even_if_nobody_serves_them() {
 fn limits_hold_and_places_come_back() {
     run(async {
         let few = Limits { max_worlds: 3, max_worlds_per_connection: 2, ..limits() };
-        let hub = hub(few);
-        let (mut first, mut second) = (open(&hub), open(&hub));
+        let sessions = sessions(few);
+        let (mut first, mut second) = (open(&sessions), open(&sessions));
         let request = || Request::CreateWorld(CreateWorldRequest::default());
         let world = create(&mut first, &[]).await;
         create(&mut first, &[]).await;
@@ -417,9 +450,9 @@ proptest! {
 
     #[test]
     fn every_request_has_its_answer(requests in vec(any_request(), 1..30)) {
-        let hub = hub(limits());
+        let sessions = sessions(limits());
         run(async {
-            let mut session = open(&hub);
+            let mut session = open(&sessions);
             let mut world = create(&mut session, &[]).await;
             for mut request in requests {
                 let names = match &mut request {
@@ -447,6 +480,6 @@ proptest! {
                 }
             }
         });
-        prop_assert_eq!((hub.worlds.len(), hub.metrics.worlds.get()), (0, 0));
+        prop_assert_eq!((sessions.worlds.len(), sessions.metrics.worlds.get()), (0, 0));
     }
 }
