@@ -7,6 +7,7 @@ use crate::domain::DomainError;
 use crate::equilibrium::static_equilibrium;
 use crate::error::ParameterError;
 use crate::instruction_set::{InstructionSet, Supported};
+use crate::interval::Interval;
 use crate::lanes::Lanes;
 use crate::parameters::ArmParameters;
 use crate::posture::{Energy, energy};
@@ -289,14 +290,7 @@ impl Arm {
 /// # Errors
 /// [`ParameterError::OutOfRange`] naming the angle.
 pub fn check_command(command: [f64; 2]) -> Result<(), ParameterError> {
-    for (name, value) in ["theta", "phi"].into_iter().zip(command) {
-        if value.is_nan() || value.abs() > COMMAND_LIMIT {
-            return Err(ParameterError::OutOfRange {
-                name: name.to_owned(),
-                value: value.to_string(),
-                range: format!("[-{COMMAND_LIMIT}, {COMMAND_LIMIT}] degrees"),
-            });
-        }
-    }
-    Ok(())
+    const ANGLE: Interval = Interval::within(COMMAND_LIMIT).of("degrees");
+    ANGLE.check(command[0], || "theta".to_owned())?;
+    ANGLE.check(command[1], || "phi".to_owned())
 }

@@ -44,11 +44,7 @@ impl ArmLanes {
     /// numbers of compartments.
     pub fn new(arms: &[&Arm]) -> Result<Self, ParameterError> {
         let refuse = |name: &str, value: usize, range: String| {
-            Err(ParameterError::OutOfRange {
-                name: name.to_owned(),
-                value: value.to_string(),
-                range,
-            })
+            Err(ParameterError::out_of_range(name, value, range))
         };
         let Some(first) = arms.first().filter(|_| arms.len() <= WIDTH) else {
             return refuse("arms", arms.len(), format!("[1, {WIDTH}] arms"));

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use crate::base::{Actuator, BaseDrive, BaseMotion, BaseRows};
 use crate::domain::{DomainError, find_failure};
-use crate::error::ParameterError;
+use crate::error::{ParameterError, check_finite};
 use crate::instruction_set::Supported;
+use crate::interval::Interval;
 use crate::kernel::{Muscles, place};
 use crate::parameters::ArmParameters;
 use crate::runge_kutta::{Integrator, advance, refresh};
@@ -114,15 +115,10 @@ impl<const L: usize> Lanes<L> {
         self.restore(lane, state);
         if let Some(failure) = self.present_failure(lane) {
             self.restore(lane, &before);
-            return Err(ParameterError::OutOfRange {
-                name: format!(
-                    "state: {} of compartment {}",
-                    failure.limit.name(),
-                    failure.compartment
-                ),
-                value: failure.value.to_string(),
-                range: format!("[{}, {}]", failure.low, failure.high),
-            });
+            let DomainError { limit, compartment, value, low, high, .. } = failure;
+            let name = format!("state: {} of compartment {compartment}", limit.name());
+            let range = Interval::closed(low, high);
+            return Err(ParameterError::out_of_range(name, value, range));
         }
         Ok(())
     }
@@ -156,18 +152,12 @@ impl<const L: usize> Lanes<L> {
     ) -> Result<(), ParameterError> {
         for (name, values) in [("longitudinal", longitudinal), ("transverse", transverse)] {
             if values.len() != self.observation_len() {
-                return Err(ParameterError::Shape {
-                    name: name.to_owned(),
-                    found: format!("({},)", values.len()),
-                    expected: format!("({},)", self.observation_len()),
-                });
+                let shape = |len| format!("({len},)");
+                let (found, expected) = (shape(values.len()), shape(self.observation_len()));
+                return Err(ParameterError::shape(name, found, expected));
             }
-            if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-                return Err(ParameterError::OutOfRange {
-                    name: name.to_owned(),
-                    value: value.to_string(),
-                    range: "of finite numbers".to_owned(),
-                });
+            for (index, value) in values.iter().enumerate() {
+                check_finite(*value, || format!("{name}[{}, {}]", index / 4, index % 4))?;
             }
         }
         for j in 0..self.compartments() {

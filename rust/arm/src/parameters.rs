@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::ParameterError;
+use crate::interval::Interval;
 use crate::json::read_json;
 
 /// Which area Eqs. 12–13 multiply (the paper's `A_r`), before `area_scale`.
@@ -107,36 +108,6 @@ impl Default for ArmParameters {
     }
 }
 
-/// Allowed interval of a scalar parameter.
-struct Range {
-    low: f64,
-    high: f64,
-    low_excluded: bool,
-}
-
-const fn at_least(low: f64, high: f64) -> Range {
-    Range { low, high, low_excluded: false }
-}
-
-const fn above(low: f64, high: f64) -> Range {
-    Range { low, high, low_excluded: true }
-}
-
-impl Range {
-    fn check(&self, name: &str, value: f64) -> Result<(), ParameterError> {
-        let above_low = if self.low_excluded { value > self.low } else { value >= self.low };
-        if above_low && value <= self.high {
-            return Ok(());
-        }
-        let bracket = if self.low_excluded { '(' } else { '[' };
-        Err(ParameterError::OutOfRange {
-            name: name.to_owned(),
-            value: value.to_string(),
-            range: format!("{bracket}{}, {}]", self.low, self.high),
-        })
-    }
-}
-
 impl ArmParameters {
     /// Largest number of compartments; the static equilibrium solves for seven unknowns each.
     pub const MAX_COMPARTMENTS: usize = 200;
@@ -152,11 +123,10 @@ impl ArmParameters {
         match name {
             "nakajima2013" => Ok(Self::nakajima2013()),
             "inertial" => Ok(Self::inertial()),
-            _ => Err(ParameterError::OutOfRange {
-                name: "arm".to_owned(),
-                value: format!("{name:?}"),
-                range: format!("of named bodies, {:?}", Self::PRESETS),
-            }),
+            _ => {
+                let range = format!("of named bodies, {:?}", Self::PRESETS);
+                Err(ParameterError::out_of_range("arm", format!("{name:?}"), range))
+            }
         }
     }
 
@@ -215,54 +185,49 @@ impl ArmParameters {
     /// [`ParameterError`] with the name, value and allowed range of the first parameter found
     /// outside it (a NaN is outside every range).
     pub fn validate(&self) -> Result<(), ParameterError> {
-        let scalars: [(&str, f64, Range); 20] = [
+        let (above, closed) = (Interval::above, Interval::closed);
+        let scalars: [(&str, f64, Interval); 20] = [
             ("rest_length", self.rest_length, above(0.0, 10.0)),
             ("base_radius", self.base_radius, above(0.0, 10.0)),
             ("tip_radius", self.tip_radius, above(0.0, 10.0)),
             ("longitudinal_mass", self.longitudinal_mass, above(0.0, 100.0)),
-            ("transverse_mass", self.transverse_mass, at_least(0.0, 100.0)),
-            ("longitudinal_mass_share", self.longitudinal_mass_share, at_least(1.0 / 3.0, 1.0)),
-            ("longitudinal_damping", self.longitudinal_damping, at_least(0.0, 1e6)),
-            ("transverse_damping", self.transverse_damping, at_least(0.0, 1e6)),
+            ("transverse_mass", self.transverse_mass, closed(0.0, 100.0)),
+            ("longitudinal_mass_share", self.longitudinal_mass_share, closed(1.0 / 3.0, 1.0)),
+            ("longitudinal_damping", self.longitudinal_damping, closed(0.0, 1e6)),
+            ("transverse_damping", self.transverse_damping, closed(0.0, 1e6)),
             ("longitudinal_stiffness", self.longitudinal_stiffness, above(0.0, 1e9)),
             ("transverse_stiffness", self.transverse_stiffness, above(0.0, 1e9)),
-            ("longitudinal_volume_gain", self.longitudinal_volume_gain, at_least(0.0, 1e12)),
-            ("transverse_volume_gain", self.transverse_volume_gain, at_least(0.0, 1e12)),
-            ("water_density", self.water_density, at_least(0.0, 1e5)),
-            ("arm_density", self.arm_density, at_least(0.0, 1e5)),
-            ("area_scale", self.area_scale, at_least(0.0, 1e4)),
-            ("lift_scale", self.lift_scale, at_least(-1e4, 1e4)),
-            ("plane_mass", self.plane_mass, at_least(0.0, 100.0)),
-            ("plane_inertia", self.plane_inertia, at_least(0.0, 100.0)),
+            ("longitudinal_volume_gain", self.longitudinal_volume_gain, closed(0.0, 1e12)),
+            ("transverse_volume_gain", self.transverse_volume_gain, closed(0.0, 1e12)),
+            ("water_density", self.water_density, closed(0.0, 1e5)),
+            ("arm_density", self.arm_density, closed(0.0, 1e5)),
+            ("area_scale", self.area_scale, closed(0.0, 1e4)),
+            ("lift_scale", self.lift_scale, closed(-1e4, 1e4)),
+            ("plane_mass", self.plane_mass, closed(0.0, 100.0)),
+            ("plane_inertia", self.plane_inertia, closed(0.0, 100.0)),
             ("timestep", self.timestep, above(0.0, 0.1)),
             ("servo_frequency", self.servo_frequency, above(0.0, 1e4)),
         ];
         for (name, value, range) in scalars {
-            range.check(name, value)?;
+            range.check(value, || name.to_owned())?;
         }
-        for (axis, value) in self.gravity.into_iter().enumerate() {
-            at_least(-1e3, 1e3).check(&format!("gravity[{axis}]"), value)?;
-        }
-        for (index, value) in self.drag_coefficients.into_iter().enumerate() {
-            at_least(-1e3, 1e3).check(&format!("drag_coefficients[{index}]"), value)?;
-        }
-        for (index, value) in self.lift_coefficients.into_iter().enumerate() {
-            at_least(-1e3, 1e3).check(&format!("lift_coefficients[{index}]"), value)?;
+        for (name, values) in [
+            ("gravity", &self.gravity[..]),
+            ("drag_coefficients", &self.drag_coefficients),
+            ("lift_coefficients", &self.lift_coefficients),
+        ] {
+            for (index, value) in values.iter().enumerate() {
+                Interval::within(1e3).check(*value, || format!("{name}[{index}]"))?;
+            }
         }
         if !(1..=Self::MAX_COMPARTMENTS).contains(&self.compartments) {
-            return Err(ParameterError::OutOfRange {
-                name: "compartments".to_owned(),
-                value: self.compartments.to_string(),
-                range: format!("[1, {}]", Self::MAX_COMPARTMENTS),
-            });
+            let range = format!("[1, {}]", Self::MAX_COMPARTMENTS);
+            return Err(ParameterError::out_of_range("compartments", self.compartments, range));
         }
         let step = self.radius_step().abs();
         if step >= self.rest_length {
-            return Err(ParameterError::OutOfRange {
-                name: "rest_length".to_owned(),
-                value: self.rest_length.to_string(),
-                range: format!("({step}, 10]: longer than the taper from one plane to the next"),
-            });
+            let range = format!("({step}, 10]: longer than the taper from one plane to the next");
+            return Err(ParameterError::out_of_range("rest_length", self.rest_length, range));
         }
         self.check_drag()
     }
@@ -289,14 +254,14 @@ impl ArmParameters {
             let angle = 0.5 * (low + high);
             let value = drag(angle).min(drag(grid(k)));
             if value < 0.0 {
-                return Err(ParameterError::OutOfRange {
-                    name: "drag_coefficients".to_owned(),
-                    value: format!(
+                return Err(ParameterError::out_of_range(
+                    "drag_coefficients",
+                    format!(
                         "{:?} (Eq. 14 gives {value:.3e} at {angle:.2} degrees)",
                         self.drag_coefficients
                     ),
-                    range: "of polynomials at or above 0 from 0 to 90 degrees".to_owned(),
-                });
+                    "of polynomials at or above 0 from 0 to 90 degrees",
+                ));
             }
         }
         Ok(())

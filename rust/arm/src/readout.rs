@@ -1,5 +1,6 @@
 //! The paper's readout.
 
+use crate::error::ParameterError;
 use crate::instruction_set::{Supported, compiled_for_each_set};
 
 /// A static linear readout of the spring lengths (Eq. 18, Eq. 26).
@@ -12,6 +13,25 @@ pub struct LinearReadout {
 }
 
 impl LinearReadout {
+    /// A readout of `springs` spring lengths from rows of weights, one a spring, the last one more
+    /// being the bias (which is otherwise 0).
+    ///
+    /// # Errors
+    /// [`ParameterError::Shape`] for another number of rows.
+    pub fn from_rows(rows: &[[f64; 2]], springs: usize) -> Result<Self, ParameterError> {
+        let (weights, bias) = match rows.len().checked_sub(springs) {
+            Some(0) => (rows, [0.0; 2]),
+            Some(1) => (&rows[..springs], rows[springs]),
+            _ => {
+                let found = format!("({}, 2)", rows.len());
+                let expected =
+                    format!("({springs}, 2) or ({}, 2), the last row being the bias", springs + 1);
+                return Err(ParameterError::shape("weights", found, expected));
+            }
+        };
+        Ok(Self { weights: weights.to_vec(), bias })
+    }
+
     /// `weightsᵀ lengths + bias` \[degrees\].
     #[must_use]
     pub fn output(&self, lengths: &[f64]) -> [f64; 2] {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::ParameterError;
+use crate::error::{ParameterError, check_finite};
 use crate::parameters::ArmParameters;
 
 /// Number of coordinates of a compartment: `[h, α, β, r1, r2, r3, r4]`.
@@ -52,42 +52,27 @@ impl ArmState {
     /// Checks that the state fits a body of `compartments` compartments and holds finite numbers.
     ///
     /// # Errors
-    /// [`ParameterError::Shape`] or [`ParameterError::OutOfRange`], naming the array.
+    /// [`ParameterError::Shape`] or [`ParameterError::NotFinite`], naming the array.
     pub fn validate(&self, compartments: usize) -> Result<(), ParameterError> {
         let check = |name: &str, rows: &mut dyn Iterator<Item = &[f64]>, width: usize| {
             let mut count = 0;
             for (row, values) in rows.enumerate() {
                 count += 1;
-                if let Some((column, value)) =
-                    values.iter().enumerate().find(|(_, value)| !value.is_finite())
-                {
-                    return Err(ParameterError::OutOfRange {
-                        name: format!("state.{name}[{row}, {column}]"),
-                        value: value.to_string(),
-                        range: "of finite numbers".to_owned(),
-                    });
+                for (column, value) in values.iter().enumerate() {
+                    check_finite(*value, || format!("state.{name}[{row}, {column}]"))?;
                 }
             }
             if count == compartments || (count == 0 && name == "muscles") {
                 return Ok(());
             }
-            Err(ParameterError::Shape {
-                name: format!("state.{name}"),
-                found: format!("({count}, {width})"),
-                expected: format!("({compartments}, {width})"),
-            })
+            let shape = |rows| format!("({rows}, {width})");
+            Err(ParameterError::shape(format!("state.{name}"), shape(count), shape(compartments)))
         };
         check("coordinates", &mut self.coordinates.iter().map(<[f64; 7]>::as_slice), COORDINATES)?;
         check("rates", &mut self.rates.iter().map(<[f64; 7]>::as_slice), COORDINATES)?;
         check("muscles", &mut self.muscles.iter().map(<[f64; 8]>::as_slice), 8)?;
         for (index, value) in self.base.iter().enumerate() {
-            if !value.is_finite() {
-                return Err(ParameterError::OutOfRange {
-                    name: format!("state.base[{index}]"),
-                    value: value.to_string(),
-                    range: "of finite numbers".to_owned(),
-                });
-            }
+            check_finite(*value, || format!("state.base[{index}]"))?;
         }
         Ok(())
     }

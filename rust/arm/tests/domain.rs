@@ -278,7 +278,9 @@ fn a_state_that_cannot_be_is_refused_and_changes_nothing() {
     for (name, state) in cases {
         let refusal = arm.set_state(&state).expect_err(name);
         let found = match &refusal {
-            ParameterError::OutOfRange { name, .. } | ParameterError::Shape { name, .. } => name,
+            ParameterError::OutOfRange { name, .. }
+            | ParameterError::NotFinite { name, .. }
+            | ParameterError::Shape { name, .. } => name,
             other => panic!("{name}: {other}"),
         };
         assert_eq!(found, name, "{refusal}");
@@ -330,8 +332,14 @@ fn muscles_of_the_wrong_shape_or_size_are_refused() {
     let refused = [
         ("longitudinal has shape (79,)", arm.set_muscles(&[0.0; 79], &[0.0; 80])),
         ("transverse has shape (81,)", arm.set_muscles(&[0.0; 80], &[0.0; 81])),
-        ("longitudinal = NaN", arm.set_muscles(&not_a_number, &[0.0; 80])),
-        ("transverse = NaN", arm.set_muscles(&[0.0; 80], &not_a_number)),
+        (
+            "longitudinal[19, 3] = NaN is not a finite number",
+            arm.set_muscles(&not_a_number, &[0.0; 80]),
+        ),
+        (
+            "transverse[19, 3] = NaN is not a finite number",
+            arm.set_muscles(&[0.0; 80], &not_a_number),
+        ),
     ];
     for (start, refusal) in refused {
         let message = refusal.expect_err(start).to_string();

@@ -259,9 +259,5 @@ pub(crate) fn check_len(name: &str, found: usize, count: usize) -> Result<(), Pa
     if found == count {
         return Ok(());
     }
-    Err(ParameterError::Shape {
-        name: name.to_owned(),
-        found: format!("({found},)"),
-        expected: format!("({count},)"),
-    })
+    Err(ParameterError::shape(name, format!("({found},)"), format!("({count},)")))
 }

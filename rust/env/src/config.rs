@@ -1,6 +1,8 @@
 //! The settings of an episode, under the names that Python and files use.
 
-use octoarm_arm::{Actuator, ArmParameters, ParameterError, domain, read_json};
+use std::sync::Arc;
+
+use octoarm_arm::{Actuator, Arm, ArmParameters, Interval, ParameterError, domain, read_json};
 use serde::{Deserialize, Serialize};
 
 use crate::orbit::{Orbit, Target, TargetName};
@@ -54,35 +56,37 @@ const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.3;
 const ANGLE_LIMIT: f64 = 360.0;
 const MAX_CONTROL_STEPS: f64 = 10_000.0;
 
-fn check(
-    name: &str,
-    value: f64,
-    low: f64,
-    low_excluded: bool,
-    high: f64,
-) -> Result<(), ParameterError> {
-    // Written so that a NaN fails too.
-    let inside = (if low_excluded { value > low } else { value >= low }) && value <= high;
-    if inside {
-        return Ok(());
+/// Settings that have been checked, with an arm of their body; shared, and never changed.
+#[derive(Clone, Debug)]
+pub struct CheckedConfig(Arc<(EpisodeConfig, Arm)>);
+
+impl std::ops::Deref for CheckedConfig {
+    type Target = EpisodeConfig;
+
+    fn deref(&self) -> &EpisodeConfig {
+        &self.0.0
     }
-    let bracket = if low_excluded { '(' } else { '[' };
-    Err(ParameterError::OutOfRange {
-        name: name.to_owned(),
-        value: value.to_string(),
-        range: format!("{bracket}{low}, {high}]"),
-    })
+}
+
+impl CheckedConfig {
+    /// An arm of the body, undeformed.
+    pub(crate) fn undeformed_arm(&self) -> &Arm {
+        &self.0.1
+    }
+
+    /// Whether both are the very same.
+    pub(crate) fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
 }
 
 impl EpisodeConfig {
-    /// Settings from JSON text; what is left out takes its default.
+    /// Settings from JSON text; what is left out takes its default, and nothing is checked yet.
     ///
     /// # Errors
-    /// [`ParameterError`] that names the setting, its value and its range.
+    /// [`ParameterError::Format`] that names the setting.
     pub fn from_json(text: &str) -> Result<Self, ParameterError> {
-        let config: Self = read_json(text)?;
-        config.validate()?;
-        Ok(config)
+        read_json(text)
     }
 
     /// The settings as JSON text, exact to the bit.
@@ -96,35 +100,33 @@ impl EpisodeConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// As [`EpisodeConfig::from_json`].
-    pub fn validate(&self) -> Result<(), ParameterError> {
-        self.arm.validate()?;
-        if let Some(amplitude) = self.amplitude {
-            check("amplitude", amplitude, 0.0, true, ANGLE_LIMIT)?;
+    /// [`ParameterError`] that names the setting, its value and its range.
+    pub fn checked(self) -> Result<CheckedConfig, ParameterError> {
+        let above = Interval::above;
+        let arm = Arm::undeformed(self.arm.clone(), self.actuator)?;
+        for (name, value, range) in [
+            ("amplitude", self.amplitude, above(0.0, ANGLE_LIMIT)),
+            ("action_range", self.action_range, above(0.0, ANGLE_LIMIT)),
+            ("tracking_weight", Some(self.tracking_weight), above(0.0, 1e6)),
+            ("reward_width", Some(self.reward_width), above(0.0, 1e3)),
+            ("action_change_weight", Some(self.action_change_weight), Interval::closed(0.0, 1e6)),
+            ("control_period", Some(self.control_period), above(0.0, 10.0)),
+        ] {
+            value.map_or(Ok(()), |value| range.check(value, || name.to_owned()))?;
         }
-        if let Some(range) = self.action_range {
-            check("action_range", range, 0.0, true, ANGLE_LIMIT)?;
-        }
-        check("tracking_weight", self.tracking_weight, 0.0, true, 1e6)?;
-        check("reward_width", self.reward_width, 0.0, true, 1e3)?;
-        check("action_change_weight", self.action_change_weight, 0.0, false, 1e6)?;
-        check("control_period", self.control_period, 0.0, true, 10.0)?;
         let steps = self.control_period / self.arm.timestep;
         let whole = steps.round();
         if !(1.0..=MAX_CONTROL_STEPS).contains(&whole) || (steps - whole).abs() > 1e-6 * whole {
-            return Err(ParameterError::OutOfRange {
-                name: "control_period".to_owned(),
-                value: self.control_period.to_string(),
-                range: format!(
-                    "of whole multiples of arm.timestep ({} s), 1 to {MAX_CONTROL_STEPS} of them",
-                    self.arm.timestep
-                ),
-            });
+            let range = format!(
+                "of whole multiples of arm.timestep ({} s), 1 to {MAX_CONTROL_STEPS} of them",
+                self.arm.timestep
+            );
+            return Err(ParameterError::out_of_range("control_period", self.control_period, range));
         }
         if let Target::Samples(samples) = &self.target {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
         }
-        Ok(())
+        Ok(CheckedConfig(Arc::new((self, arm))))
     }
 
     /// Physics steps from one action to the next.
@@ -190,7 +192,8 @@ mod tests {
             (r#"{"colour": 1}"#, "colour"),
         ];
         for (text, expected) in bad {
-            let message = EpisodeConfig::from_json(text).expect_err(text).to_string();
+            let config = EpisodeConfig::from_json(text).and_then(EpisodeConfig::checked);
+            let message = config.expect_err(text).to_string();
             assert!(message.contains(expected), "{text}: {message}");
         }
     }

@@ -1,10 +1,8 @@
 //! One episode: reset onto the orbit, steps, reward, end.
 
-use std::sync::Arc;
-
 use octoarm_arm::{Arm, ParameterError};
 
-use crate::config::EpisodeConfig;
+use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step;
 use crate::outcome::Outcome;
 use crate::swing::Swing;
@@ -24,18 +22,18 @@ impl Episode {
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range.
     pub fn new(config: EpisodeConfig) -> Result<Self, ParameterError> {
-        Self::with_limit(config, None)
+        Self::with_limit(config.checked()?, None)
     }
 
-    /// [`Episode::new`] whose episodes end after `max_episode_steps`.
+    /// An [`Episode`] that ends after `max_episode_steps`.
     ///
     /// # Errors
     /// As [`Episode::new`].
     pub fn with_limit(
-        config: EpisodeConfig,
+        config: CheckedConfig,
         max_episode_steps: Option<u64>,
     ) -> Result<Self, ParameterError> {
-        let task = Task::new(Arc::new(config), max_episode_steps)?;
+        let task = Task::new(config, max_episode_steps)?;
         Ok(Self { arm: task.swing().arm.clone(), task })
     }
 
@@ -138,8 +136,8 @@ impl Episode {
     /// state, and only a reset goes on.
     ///
     /// # Errors
-    /// [`ParameterError::OutOfRange`] for an action outside its bounds or a step without a reset;
-    /// nothing is changed then.
+    /// [`ParameterError::OutOfRange`] for an action outside its bounds, [`ParameterError::NotRunning`]
+    /// without a reset; nothing is changed then.
     pub fn step(&mut self, action: [f64; 2]) -> Result<Outcome, ParameterError> {
         let action = check_step(action, self.running())?;
         let command = self.task.command(action);

@@ -3,17 +3,15 @@
 //! Every episode has the very bits that [`crate::Episode`] gives, whatever stands beside it and
 //! however many threads there are.
 
-use std::sync::Arc;
-
 use octoarm_arm::{Arm, ArmLanes, ArmState, ParameterError, memory};
 use serde::{Deserialize, Serialize};
 
 use crate::arm_batch::{ArmBatch, check_len};
-use crate::config::EpisodeConfig;
+use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step_of_lanes;
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Task, check_action, check_phase, not_running};
+use crate::task::{EpisodeState, Stage, Task, check_action, check_phase};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -153,8 +151,8 @@ impl GroupStep<'_> {
 }
 
 impl EpisodeBatch {
-    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration; those
-    /// with the same `Arc` share what is computed from it.
+    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration; clones
+    /// of one share what is computed from it.
     ///
     /// An episode is truncated after `max_episode_steps` steps. `threads` share the work, the calling
     /// one included; without a number, as many as the processor runs at once.
@@ -163,28 +161,24 @@ impl EpisodeBatch {
     /// [`ParameterError`] that names the setting, its value and its range; different numbers of
     /// compartments are refused too, and more episodes than fit into memory.
     pub fn new(
-        configs: &[Arc<EpisodeConfig>],
+        configs: &[CheckedConfig],
         max_episode_steps: Option<u64>,
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
         let what = format!("num_envs = {}", configs.len());
         if configs.is_empty() {
-            return Err(ParameterError::OutOfRange {
-                name: "num_envs".to_owned(),
-                value: "0".to_owned(),
-                range: "of positive numbers".to_owned(),
-            });
+            return Err(ParameterError::out_of_range("num_envs", 0, "of positive numbers"));
         }
         let mut tasks = memory::reserved(&what, Some(configs.len()))?;
         let mut known: Vec<Task> = Vec::new();
         for config in configs {
             // Environments are mostly alike, and mostly like the one before.
-            let same = |task: &&Task| Arc::ptr_eq(task.config(), config);
+            let same = |task: &&Task| task.config().is(config);
             let task = match known.iter().rev().find(same) {
                 Some(task) => task.clone(),
                 None => {
-                    known.push(Task::new(Arc::clone(config), max_episode_steps)?);
+                    known.push(Task::new(config.clone(), max_episode_steps)?);
                     known[known.len() - 1].clone()
                 }
             };
@@ -341,7 +335,8 @@ impl EpisodeBatch {
                 Stage::Over => self.autoreset == Autoreset::Disabled,
             };
             if stops {
-                return Err(not_running(format!("step of environment {index}")));
+                let name = format!("step of environment {index}");
+                return Err(ParameterError::NotRunning { name });
             }
         }
         let (count, width, autoreset) = (self.len(), self.observation_len(), self.autoreset);

@@ -18,7 +18,7 @@ mod teacher;
 mod workers;
 
 pub use arm_batch::{ArmBatch, Stop};
-pub use config::EpisodeConfig;
+pub use config::{CheckedConfig, EpisodeConfig};
 pub use episode::Episode;
 pub use episode_batch::{Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last};
 pub use orbit::{Orbit, Target, TargetName};

@@ -1,7 +1,7 @@
 //! Closed orbits of the base angles: the paper's limit cycles and a user's own.
 
 use octoarm_arm::transcendental::sin_cos;
-use octoarm_arm::{ParameterError, memory, poll};
+use octoarm_arm::{Interval, ParameterError, memory, poll};
 use serde::{Deserialize, Serialize};
 
 /// Time of the oscillators per second of the arm: 0.01 a step of 1 ms (section 2.2.2).
@@ -221,29 +221,18 @@ impl Orbit {
     /// [`ParameterError`] naming `target`.
     pub fn check_samples(samples: &[[f64; 2]], limit: f64) -> Result<(), ParameterError> {
         if !(FEWEST_SAMPLES..=MOST_SAMPLES).contains(&samples.len()) {
-            return Err(ParameterError::Shape {
-                name: "target".to_owned(),
-                found: format!("({}, 2)", samples.len()),
-                expected: format!("(T, 2) with T from {FEWEST_SAMPLES} to {MOST_SAMPLES}"),
-            });
+            let expected = format!("(T, 2) with T from {FEWEST_SAMPLES} to {MOST_SAMPLES}");
+            let found = format!("({}, 2)", samples.len());
+            return Err(ParameterError::shape("target", found, expected));
         }
         for (row, values) in samples.iter().enumerate() {
             for (column, value) in values.iter().enumerate() {
-                if value.is_nan() || value.abs() > limit {
-                    return Err(ParameterError::OutOfRange {
-                        name: format!("target[{row}, {column}]"),
-                        value: value.to_string(),
-                        range: format!("[-{limit}, {limit}] degrees"),
-                    });
-                }
+                let range = Interval::within(limit).of("degrees");
+                range.check(*value, || format!("target[{row}, {column}]"))?;
             }
         }
         if largest(samples) == 0.0 {
-            return Err(ParameterError::OutOfRange {
-                name: "target".to_owned(),
-                value: "all zeros".to_owned(),
-                range: "of orbits that move".to_owned(),
-            });
+            return Err(ParameterError::out_of_range("target", "all zeros", "of orbits that move"));
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, DomainError, ParameterError, poll};
 
-use crate::config::EpisodeConfig;
+use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step;
 use crate::orbit::{Orbit, Target};
 use crate::teacher::TeacherClock;
@@ -67,11 +67,8 @@ fn unable(config: &EpisodeConfig, orbit: &Orbit, failure: &DomainError) -> Param
             ),
         ),
     };
-    ParameterError::OutOfRange {
-        name: name.to_owned(),
-        value,
-        range: format!("of targets that this body can be swung along: {failure}"),
-    }
+    let range = format!("of targets that this body can be swung along: {failure}");
+    ParameterError::out_of_range(name, value, range)
 }
 
 /// What a swing depends on.
@@ -111,9 +108,9 @@ impl Swing {
     /// The swing of a configuration; computed once, then shared by every environment that asks for it.
     ///
     /// # Errors
-    /// [`ParameterError`] for settings out of range, a body without a rest state, or a target that
-    /// takes the arm out of its domain.
-    pub fn shared(config: &EpisodeConfig) -> Result<Arc<Self>, ParameterError> {
+    /// [`ParameterError`] for a body without a rest state, or a target that takes the arm out of its
+    /// domain.
+    pub fn shared(config: &CheckedConfig) -> Result<Arc<Self>, ParameterError> {
         static SHARED: Mutex<Vec<(Key, Arc<Swing>)>> = Mutex::new(Vec::new());
         let key = Key::of(config);
         {
@@ -138,11 +135,11 @@ impl Swing {
     ///
     /// # Errors
     /// As [`Swing::shared`].
-    pub fn new(config: &EpisodeConfig) -> Result<Self, ParameterError> {
-        config.validate()?;
+    pub fn new(config: &CheckedConfig) -> Result<Self, ParameterError> {
         let orbit = Arc::new(config.orbit()?);
         let clock = TeacherClock::new(config, Arc::clone(&orbit));
-        let resting = Arm::new(config.arm.clone(), config.actuator)?;
+        let mut resting = config.undeformed_arm().clone();
+        resting.reset()?;
         let mut arm = resting.clone();
         let physics_steps = config.physics_steps();
         let lead_in = lead_in(config) as i64;

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use octoarm_arm::{ArmState, DomainError, ParameterError};
+use octoarm_arm::{ArmState, DomainError, Interval, ParameterError};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use crate::config::EpisodeConfig;
+use crate::config::CheckedConfig;
 use crate::outcome::Outcome;
 use crate::reward::Reward;
 use crate::swing::{Snapshot, Swing};
@@ -55,23 +55,13 @@ const WIDEST: f64 = 1e9;
 impl EpisodeState {
     /// Checks what is not the arm's; a state may come from anywhere.
     pub(crate) fn check(&self) -> Result<(), ParameterError> {
-        let refuse = |name: String, value: String, range: String| {
-            Err(ParameterError::OutOfRange { name, value, range })
-        };
         if self.tick.unsigned_abs() > LATEST {
-            return refuse(
-                "tick".to_owned(),
-                self.tick.to_string(),
-                format!("[-{LATEST}, {LATEST}]"),
-            );
+            let range = format!("[-{LATEST}, {LATEST}]");
+            return Err(ParameterError::out_of_range("tick", self.tick, range));
         }
         for (name, values) in [("clock", self.clock), ("arm.base", self.arm.base)] {
             for (index, value) in values.into_iter().enumerate() {
-                // Written so that a NaN fails too.
-                if !(-WIDEST..=WIDEST).contains(&value) {
-                    let range = format!("[-{WIDEST}, {WIDEST}]");
-                    return refuse(format!("{name}[{index}]"), value.to_string(), range);
-                }
+                Interval::within(WIDEST).check(value, || format!("{name}[{index}]"))?;
             }
         }
         check_action(self.action, |axis| format!("action[{axis}]")).map(|_| ())
@@ -81,7 +71,7 @@ impl EpisodeState {
 /// An episode apart from the arm that it moves.
 #[derive(Clone, Debug)]
 pub(crate) struct Task {
-    config: Arc<EpisodeConfig>,
+    config: CheckedConfig,
     swing: Arc<Swing>,
     reward: Reward,
     action_range: f64,
@@ -98,26 +88,21 @@ pub(crate) struct Task {
 impl Task {
     /// A task that waits for its first [`Task::begin`]; episodes end after `max_episode_steps`.
     pub(crate) fn new(
-        config: Arc<EpisodeConfig>,
+        config: CheckedConfig,
         max_episode_steps: Option<u64>,
     ) -> Result<Self, ParameterError> {
         if max_episode_steps == Some(0) {
-            return Err(ParameterError::OutOfRange {
-                name: "max_episode_steps".to_owned(),
-                value: "0".to_owned(),
-                range: "of positive numbers".to_owned(),
-            });
+            let range = "of positive numbers";
+            return Err(ParameterError::out_of_range("max_episode_steps", 0, range));
         }
         let swing = Swing::shared(&config)?;
         let amplitude = swing.orbit.amplitude();
         let reward = config.reward(amplitude);
         // The tracking error is divided by it; a product of two positive numbers may be too small.
         if !reward.width.is_normal() {
-            return Err(ParameterError::OutOfRange {
-                name: "reward_width".to_owned(),
-                value: format!("{} of an amplitude of {amplitude} degrees", config.reward_width),
-                range: format!("of widths from {:e} degrees", f64::MIN_POSITIVE),
-            });
+            let value = format!("{} of an amplitude of {amplitude} degrees", config.reward_width);
+            let range = format!("of widths from {:e} degrees", f64::MIN_POSITIVE);
+            return Err(ParameterError::out_of_range("reward_width", value, range));
         }
         Ok(Self {
             reward,
@@ -135,7 +120,7 @@ impl Task {
         })
     }
 
-    pub(crate) fn config(&self) -> &Arc<EpisodeConfig> {
+    pub(crate) fn config(&self) -> &CheckedConfig {
         &self.config
     }
 
@@ -287,14 +272,7 @@ impl Task {
 
 /// Checks a phase in turns.
 pub(crate) fn check_phase(phase: f64) -> Result<(), ParameterError> {
-    if (0.0..=1.0).contains(&phase) {
-        return Ok(());
-    }
-    Err(ParameterError::OutOfRange {
-        name: "phase".to_owned(),
-        value: phase.to_string(),
-        range: "[0, 1] turns".to_owned(),
-    })
+    Interval::closed(0.0, 1.0).of("turns").check(phase, || "phase".to_owned())
 }
 
 /// How far an action may pass its bounds, and is then taken for the bound: what rounding in single
@@ -308,13 +286,9 @@ pub(crate) fn check_action(
     name: impl Fn(usize) -> String,
 ) -> Result<[f64; 2], ParameterError> {
     for (axis, value) in action.into_iter().enumerate() {
-        // Written so that a NaN fails too.
-        if !(-1.0 - ROUNDING..=1.0 + ROUNDING).contains(&value) {
-            return Err(ParameterError::OutOfRange {
-                name: name(axis),
-                value: value.to_string(),
-                range: "[-1, 1]".to_owned(),
-            });
+        // What rounding adds is let in, but not told as allowed.
+        if !Interval::within(1.0 + ROUNDING).contains(value) {
+            Interval::within(1.0).check(value, || name(axis))?;
         }
     }
     Ok(action.map(|value| value.clamp(-1.0, 1.0)))
@@ -324,17 +298,8 @@ pub(crate) fn check_action(
 /// action, without what rounding in single precision adds to its bounds.
 ///
 /// # Errors
-/// [`ParameterError::OutOfRange`] that names the entry, or says that no episode runs.
+/// [`ParameterError::OutOfRange`] that names the entry, [`ParameterError::NotRunning`].
 pub fn check_step(action: [f64; 2], running: bool) -> Result<[f64; 2], ParameterError> {
     let action = check_action(action, |axis| format!("action[{axis}]"))?;
-    if running { Ok(action) } else { Err(not_running("step".to_owned())) }
-}
-
-/// The refusal of a step outside an episode.
-pub(crate) fn not_running(name: String) -> ParameterError {
-    ParameterError::OutOfRange {
-        name,
-        value: "a call before reset or after the end of the episode".to_owned(),
-        range: "of running episodes: call reset first".to_owned(),
-    }
+    if running { Ok(action) } else { Err(ParameterError::NotRunning { name: "step".to_owned() }) }
 }

@@ -22,11 +22,8 @@ impl Workers {
             std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
         });
         if !(1..=MOST_THREADS).contains(&threads) {
-            return Err(ParameterError::OutOfRange {
-                name: "threads".to_owned(),
-                value: threads.to_string(),
-                range: format!("[1, {MOST_THREADS}]"),
-            });
+            let range = format!("[1, {MOST_THREADS}]");
+            return Err(ParameterError::out_of_range("threads", threads, range));
         }
         Ok(Self { threads, helpers: None })
     }

@@ -2,12 +2,10 @@
 //! them, however many threads there are, with failures and truncations inside.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-use std::sync::Arc;
-
 use octoarm_arm::{Actuator, Arm, ArmParameters, LinearReadout};
 use octoarm_env::{
-    ArmBatch, Autoreset, BatchState, Episode, EpisodeBatch, EpisodeConfig, Outcome, Target,
-    TargetName,
+    ArmBatch, Autoreset, BatchState, CheckedConfig, Episode, EpisodeBatch, EpisodeConfig, Outcome,
+    Target, TargetName,
 };
 
 const MOST_STEPS: u64 = 60;
@@ -99,8 +97,8 @@ impl Single {
     }
 }
 
-fn shared(configs: Vec<EpisodeConfig>) -> Vec<Arc<EpisodeConfig>> {
-    configs.into_iter().map(Arc::new).collect()
+fn shared(configs: Vec<EpisodeConfig>) -> Vec<CheckedConfig> {
+    configs.into_iter().map(|config| config.checked().unwrap()).collect()
 }
 
 fn batch(count: usize, autoreset: Autoreset, threads: usize) -> EpisodeBatch {
@@ -131,7 +129,9 @@ fn a_batch_is_its_episodes() {
             .iter()
             .zip(0..)
             .map(|(config, seed)| {
-                let mut episode = Episode::with_limit(config.clone(), Some(MOST_STEPS)).unwrap();
+                let mut episode =
+                    Episode::with_limit(config.clone().checked().unwrap(), Some(MOST_STEPS))
+                        .unwrap();
                 episode.seed(seed);
                 Single { episode, elapsed: 0, ended: false }
             })

@@ -192,16 +192,7 @@ impl Arm {
     ) -> PyResult<(Table<'py>, Table<'py>)> {
         let width = self.inner.observation_len();
         let (flat, _) = numbers("weights", weights, &[None, Some(2)])?;
-        let mut weights = pairs_of(&flat).to_vec();
-        if weights.len() != width && weights.len() != width + 1 {
-            return Err(PyValueError::new_err(format!(
-                "weights has shape ({}, 2), expected ({width}, 2) or ({}, 2), the last row being the bias",
-                weights.len(),
-                width + 1
-            )));
-        }
-        let bias = if weights.len() > width { weights.pop().unwrap_or_default() } else { [0.0; 2] };
-        let readout = LinearReadout { weights, bias };
+        let readout = LinearReadout::from_rows(pairs_of(&flat), width).map_err(invalid)?;
         let push = perturbation
             .map(|value| numbers("perturbation", value, &[None, Some(2)]).map(|(flat, _)| flat))
             .transpose()?;

@@ -166,12 +166,8 @@ impl ArmBatch {
         let rows = shape[shape.len() - 2];
         let readouts: Vec<LinearReadout> = flat
             .chunks_exact(2 * rows)
-            .map(|flat| {
-                let mut weights = pairs_of(flat).to_vec();
-                let bias = if rows > width { weights.pop().unwrap_or_default() } else { [0.0; 2] };
-                LinearReadout { weights, bias }
-            })
-            .collect();
+            .map(|flat| LinearReadout::from_rows(pairs_of(flat), width).map_err(invalid))
+            .collect::<PyResult<_>>()?;
         let readouts: Vec<&LinearReadout> =
             (0..arms).map(|arm| &readouts[if shape.len() == 2 { 0 } else { arm }]).collect();
         let perturbation =

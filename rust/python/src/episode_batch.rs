@@ -2,11 +2,10 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::sync::Arc;
 
 use numpy::{IntoPyArray, PyArray1};
 use octoarm_arm::{ParameterError, memory};
-use octoarm_env::{Autoreset, BatchStep, EpisodeConfig, Outcome, Reading, Word};
+use octoarm_env::{Autoreset, BatchStep, CheckedConfig, EpisodeConfig, Outcome, Reading, Word};
 use pyo3::exceptions::PyValueError;
 use pyo3::ffi::PyObject;
 use pyo3::intern;
@@ -120,15 +119,16 @@ impl EpisodeBatch {
             PyValueError::new_err(format!("autoreset = {autoreset:?}: {error}"))
         })?;
         // Environments are mostly alike: the same text is not read again.
-        let mut known: HashMap<*mut PyObject, Arc<EpisodeConfig>> = HashMap::new();
+        let mut known: HashMap<*mut PyObject, CheckedConfig> = HashMap::new();
         let what = format!("num_envs = {}", configs.len());
         let mut read = memory::reserved(&what, Some(configs.len())).map_err(invalid)?;
         for text in configs {
             let config = match known.entry(text.as_ptr()) {
-                Entry::Occupied(entry) => Arc::clone(entry.get()),
+                Entry::Occupied(entry) => entry.get().clone(),
                 Entry::Vacant(entry) => {
                     let config = EpisodeConfig::from_json(text.cast::<PyString>()?.to_str()?);
-                    Arc::clone(entry.insert(Arc::new(config.map_err(invalid)?)))
+                    let config = config.and_then(EpisodeConfig::checked).map_err(invalid)?;
+                    entry.insert(config).clone()
                 }
             };
             read.push(config);

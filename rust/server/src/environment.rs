@@ -1,7 +1,5 @@
 //! An agent's view of a world: the episodes of one arm or of a batch in the states of the protocol.
 
-use std::sync::Arc;
-
 use octoarm_arm::ParameterError;
 use octoarm_env::{Autoreset, Episode, EpisodeBatch, EpisodeConfig, Outcome, Reading, Swing};
 
@@ -106,7 +104,7 @@ impl Environment {
         let episodes = match num_envs {
             None => Episodes::Single(Box::new(Episode::with_limit(config, max_episode_steps)?)),
             Some(count) => Episodes::Batch(EpisodeBatch::new(
-                &std::iter::repeat_n(Arc::new(config), count).collect::<Vec<_>>(),
+                &vec![config; count],
                 max_episode_steps,
                 Autoreset::NextStep,
                 Some(threads),

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
-use octoarm_arm::ArmParameters;
-use octoarm_env::{EpisodeConfig, Swing, TargetName};
+use octoarm_arm::{ArmParameters, read_fields};
+use octoarm_env::{CheckedConfig, EpisodeConfig, Swing, TargetName};
 use serde_json::{Map, Value};
 
 use crate::protocol::Tensor;
@@ -23,10 +23,10 @@ const MOST_ROWS: usize = 1 << 16;
 /// Compartments of the arm that costs are counted in.
 const USUAL_COMPARTMENTS: f64 = 20.0;
 /// A world as it was asked for.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(crate) struct WorldSettings {
     /// The episodes.
-    pub(crate) config: EpisodeConfig,
+    pub(crate) config: CheckedConfig,
     /// Of the first episode's phase; episode i of a batch takes `seed + i`.
     pub(crate) seed: Option<u64>,
     /// Episodes of a batch; without a number the world is a single arm.
@@ -71,10 +71,6 @@ fn count(name: &str, value: &Value, most: usize) -> Answer<usize> {
     Ok(whole(name, value, 1, most as u64, &range)? as usize)
 }
 
-fn read<T: serde::de::DeserializeOwned>(value: Value) -> Answer<T> {
-    Ok(octoarm_arm::read_json(&value.to_string())?)
-}
-
 /// Names of all settings of a world.
 fn known() -> &'static BTreeSet<String> {
     static KNOWN: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
@@ -99,11 +95,11 @@ pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
 
 /// All parameters of a body that is told by its name.
 fn named_body(name: &Value) -> Answer<Map<String, Value>> {
-    let body = match name {
-        Value::String(name) => ArmParameters::preset(name)?,
-        other => ArmParameters::preset(&other.to_string())?,
-    };
-    Ok(octoarm_arm::read_json(&body.to_json()?)?)
+    let text = name.as_str().map_or_else(|| name.to_string(), str::to_owned);
+    match serde_json::to_value(ArmParameters::preset(&text)?) {
+        Ok(Value::Object(body)) => Ok(body),
+        _ => Err(Refusal::new(tonic::Code::Internal, "a named body is no object")),
+    }
 }
 
 impl WorldSettings {
@@ -141,8 +137,7 @@ impl WorldSettings {
         if !arm.is_empty() {
             config.insert("arm".to_owned(), Value::Object(arm));
         }
-        let config: EpisodeConfig = read(Value::Object(config))?;
-        config.validate()?;
+        let config = read_fields::<EpisodeConfig, _>(Value::Object(config))?.checked()?;
 
         let seed = frame.get("seed").map(seed).transpose()?;
         let num_envs = frame.get("num_envs");
@@ -244,7 +239,7 @@ mod tests {
     #[test]
     fn what_is_left_out_takes_its_default() {
         let world = settings(&[]).expect("world");
-        assert_eq!(world.config, EpisodeConfig::default());
+        assert_eq!(*world.config, EpisodeConfig::default());
         assert_eq!((world.num_envs, world.max_episode_steps, world.seed), (None, Some(500), None));
     }
 
@@ -276,7 +271,7 @@ mod tests {
 
         let square = vec![0.5, 0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5];
         let samples = settings(&[("target", doubles(square, &[-1, 2]))]);
-        let samples = samples.map(|world| world.config.target);
+        let samples = samples.map(|world| world.config.target.clone());
         let rows = vec![[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]];
         assert_eq!(samples, Ok(Target::Samples(rows)));
     }
