@@ -23,7 +23,7 @@ __path__ = extend_path(__path__, __name__)
 
 from octoarm_env import wrappers
 from octoarm_env._core import DomainError, instruction_set
-from octoarm_env.arm import Arm, ArmState, Energy
+from octoarm_env.arm import Arm, ArmState, Energy, Linearisation
 from octoarm_env.arm_batch import ArmBatch, BatchRun
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
@@ -41,6 +41,7 @@ __all__ = [
     "DomainError",
     "Energy",
     "LimitCycle",
+    "Linearisation",
     "OctoArmEnv",
     "OctoArmVectorEnv",
     "TeacherPolicy",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +22,21 @@ class Energy(NamedTuple):
 
     kinetic: float
     elastic: float
+
+
+class Linearisation(NamedTuple):
+    """A step of an arm with N compartments, linearised about a state and a command.
+
+    A state is a vector of 14 N + 4 numbers: the coordinates of an :class:`ArmState` row by row,
+    their rates, and the base.
+    """
+
+    #: (14 N + 4, 14 N + 4), Jacobian of the next state with respect to the state.
+    state: Float
+    #: (14 N + 4, 2), Jacobian of the next state with respect to the command [per degree].
+    command: Float
+    #: (4 N, 14 N + 4), Jacobian of the spring lengths [m] before the step.
+    lengths: Float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,6 +87,15 @@ def _pair(name: str, inputs: Any) -> tuple[Any, Any]:
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a pair of arrays (xi_c, delta_c)") from None
     return longitudinal, transverse
+
+
+@contextlib.contextmanager
+def _bounded_angles() -> Iterator[None]:
+    """Whole numbers beyond all doubles are refused like other angles out of range."""
+    try:
+        yield
+    except OverflowError:
+        raise ValueError("theta or phi is beyond the allowed range [-3600, 3600]") from None
 
 
 class Arm:
@@ -142,10 +168,8 @@ class Arm:
             ValueError: an angle that is not finite or beyond ±3600 degrees.
             DomainError: see the class.
         """
-        try:
+        with _bounded_angles():
             return self._core.step(theta, phi)
-        except OverflowError:
-            raise ValueError("theta or phi is beyond the allowed range [-3600, 3600]") from None
 
     def run(self, angles: ArrayLike) -> Float:
         """Follow a sequence of commands, one a physics step.
@@ -188,6 +212,25 @@ class Arm:
         """
         steps = whole_number("steps", steps, 0, 2**63 - 1)
         return self._core.run_closed_loop(weights, steps, perturbation)
+
+    def linearise(self, theta: float, phi: float) -> Linearisation:
+        """Compute the Jacobians of one step from the present state; the arm does not move.
+
+        They are central differences in the lanes of the vector registers, and take about as long as
+        500 steps. What they make of a deviation is right to 1e-8 of its largest entry; where the
+        water's flow past a strut turns over, its force jumps, and the derivative is that of one
+        side.
+
+        Args:
+            theta: commanded base angle about y, in [-3600, 3600] [degrees].
+            phi: commanded base angle about x, in [-3600, 3600] [degrees].
+
+        Raises:
+            ValueError: an angle out of range.
+            DomainError: the step would leave the domain.
+        """
+        with _bounded_angles():
+            return Linearisation(*self._core.linearise(theta, phi))
 
     @property
     def lengths(self) -> Float:

@@ -133,6 +133,43 @@ def test_closed_loop_is_open_loop_with_the_readout_s_outputs() -> None:
     assert zero_lengths.shape == (0, 80)
 
 
+@pytest.mark.parametrize("actuator", ["direct", "servo"])
+def test_a_linearised_step_is_that_of_small_deviations(actuator: str) -> None:
+    arm = Arm(ArmParameters(compartments=5), actuator)
+    arm.run(swing(420))
+    before = arm.state
+    command = swing(421)[-1]
+    step = arm.linearise(*command)
+    assert arm.state == before
+    assert [matrix.shape for matrix in step] == [(74, 74), (74, 2), (20, 74)]
+
+    random = np.random.default_rng(0)
+    scale = np.concatenate((np.tile([0.02, 1, 1, *[0.015] * 4], 5), [0.3] * 35, [0.5] * 4))
+    deviation, turn = scale * random.normal(size=74), random.normal(size=2)
+
+    def after(share: float) -> tuple[np.ndarray, np.ndarray]:
+        by = share * deviation
+        arm.state = dataclasses.replace(
+            before,
+            coordinates=before.coordinates + by[:35].reshape(5, 7),
+            rates=before.rates + by[35:70].reshape(5, 7),
+            base=before.base + by[70:],
+        )
+        lengths = arm.lengths
+        arm.step(*(command + share * turn))
+        state = arm.state
+        return lengths, np.concatenate((state.coordinates.ravel(), state.rates.ravel(), state.base))
+
+    (long, ahead), (short, behind) = after(1e-6), after(-1e-6)
+    expected = (ahead - behind) / 2e-6
+    found = step.state @ deviation + step.command @ turn
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+    np.testing.assert_allclose(step.lengths @ deviation, (long - short) / 2e-6, rtol=0, atol=1e-8)
+    for angle, words in ((float("nan"), "theta = NaN"), (10**400, "theta or phi")):
+        with pytest.raises(ValueError, match=words):
+            arm.linearise(angle, 0.0)
+
+
 def test_leaving_the_domain_names_the_limit_and_keeps_the_last_state() -> None:
     inertial = ArmParameters.preset("inertial")
     arm = Arm(inertial)

@@ -16,7 +16,7 @@ from octoarm_agents.experiments.task2_trials import hold_cycle
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
 from octoarm_agents.reservoir.floquet import TeacherRun
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
-from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
+from octoarm_env import ArmParameters, DomainError
 
 __all__ = [
     "PHASE_ERROR",
@@ -81,8 +81,8 @@ def probe_loops(
         ]
     except DomainError as error:
         return {"failure": {"stage": "teaching"} | describe_domain_error(error), "loops": []}
-    turn = LIMIT_CYCLES[how.target].period / parameters.timestep
-    averaged = min(round(RESPONSE_TURNS * turn), len(lesson.run.lengths) - _BEGIN - 1_000)
+    longest = len(lesson.run.lengths) - _BEGIN - 1_000
+    averaged = min(round(RESPONSE_TURNS * lesson.run.turn), longest)
     loops = []
     for factor, noise, weights, training_error in fits:
         exponents = [float(value) for value in lesson.exponents(weights, averaged)]

@@ -6,34 +6,38 @@ linear equation with the orbit's period; its Floquet multipliers are the growth 
 turn, its Floquet exponents their logarithms divided by the period. One exponent, that of the phase,
 is zero in a loop without a clock; all others must be negative.
 
-The exponents are computed as Lyapunov exponents of the linearised loop: a few deviations are
-propagated by finite differences and orthonormalised now and then (Benettin, Galgani, Giorgilli and
-Strelcyn 1980, Meccanica 15:9-20). Neither a whole number of steps a turn nor the loop's own
-stability is needed: the nominal arm is forced by the teacher, only the deviations see the readout.
+The step of the body is linearised at points of the orbit (`octoarm_env.Arm.linearise`), once for
+all readouts; a readout W closes the loop, and a deviation obeys
+
+    x(t+1) = (A(t) + B(t) Wᵀ C(t)) x(t),
+
+with the Jacobians A and B of a step by state and command, and C of the lengths by the state. The
+exponents are the Lyapunov exponents of this map: a few deviations are propagated and
+orthonormalised now and then (Benettin, Galgani, Giorgilli and Strelcyn 1980, Meccanica 15:9-20).
+The loop's own stability is not needed: the body is forced by the teacher, only the deviations see
+the readout. Deviations of 1e-8 of the state, carried through the arm itself for 3,000 steps, grow
+at rates that differ by up to 0.1/s, mostly by less than 0.05/s.
 """
 
 from __future__ import annotations
 
-import copy
-import dataclasses
+import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.whole import whole_number
-from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
 
 __all__ = ["TeacherRun", "floquet_exponents"]
 
 Float = NDArray[np.float64]
 
-_SIZE = 1e-8
-"""Deviation of the finite differences, in units of `_magnitudes`: far above rounding, and so small
-that it hardly ever takes a strut across the jumps of the water's lift, which would pass for growth
-(with 1e-6 and a direct base they do)."""
+_POINTS = 100
+"""Points of a turn at which the step is linearised; between two of them it is taken as constant."""
 
-_CHUNK = 25
+_CHUNK = 5
 """Steps between two orthonormalisations."""
 
 
@@ -48,6 +52,7 @@ class TeacherRun:
         signal: (steps + 1, 2), the commands; row t+1 is what a readout must give for the lengths of
             row t [degrees].
         lengths: (steps, springs), after each step [m].
+        turn: steps of a turn of the target.
     """
 
     def __init__(
@@ -72,12 +77,46 @@ class TeacherRun:
         self.actuator = actuator
         self.signal = LIMIT_CYCLES[target].signal(steps + 1, amplitude)
         self.lengths = Arm(parameters, actuator).run(self.signal[:-1])
+        self.turn = LIMIT_CYCLES[target].period / parameters.timestep
+        self._maps: dict[int, tuple[Arm, list[Linearisation]]] = {}
 
     def arm_after(self, steps: int) -> Arm:
         """A new arm, forced by the teacher for the first `steps` steps."""
         arm = Arm(self.parameters, self.actuator)
         arm.run(self.signal[:steps])
         return arm
+
+    def maps(self, begin: int, count: int) -> list[Linearisation]:
+        """Linearise the step in the middle of the first of `_POINTS` equal parts of a turn.
+
+        Args:
+            begin: the step at which the turn begins.
+            count: how many parts.
+
+        Returns:
+            The maps, with states in units of `_magnitudes`; they are kept for the next call.
+
+        Raises:
+            DomainError: the arm is at the edge of its domain.
+        """
+        if begin not in self._maps:
+            self._maps[begin] = (self.arm_after(begin), [])
+        arm, maps = self._maps[begin]
+        scale = _magnitudes(self.parameters)
+        for point in range(len(maps), count):
+            middle, before = (
+                begin + int((part + 0.5) * self.turn / _POINTS) for part in (point, point - 1)
+            )
+            arm.run(self.signal[max(before, begin) : middle])
+            step = arm.linearise(*self.signal[middle])
+            maps.append(
+                Linearisation(
+                    state=step.state * (scale / scale[:, np.newaxis]),
+                    command=step.command / scale[:, np.newaxis],
+                    lengths=step.lengths * scale,
+                )
+            )
+        return maps[:count]
 
     def offsets(self, weights: Float, begin: int, end: int) -> Float:
         """What a loop must add to its outputs to follow the teacher from step `begin` to `end`.
@@ -121,7 +160,8 @@ def floquet_exponents(
         (count,), largest first [1/s]; the phase's, about zero, is among them.
 
     Raises:
-        ValueError: the run is too short, or a count below 1.
+        ValueError: the run is too short, a count below 1, or a gain beyond all bounds.
+        DomainError: the arm is at the edge of its domain.
     """
     count, steps = whole_number("count", count, 1), whole_number("steps", steps, 1)
     skip, begin = whole_number("skip", skip), whole_number("begin", begin)
@@ -131,56 +171,24 @@ def floquet_exponents(
             f"the teacher's run has {len(run.lengths)} steps, "
             f"begin + skip + steps = {end} are needed"
         )
-    arm = run.arm_after(begin)
-    probe = copy.deepcopy(arm)
-    magnitudes = _magnitudes(run.parameters)
-    random = np.random.default_rng(seed)
-    directions = np.linalg.qr(random.normal(size=(len(magnitudes), count)))[0]
-    sums = np.zeros(count)
-    time = begin
-    chunk = _CHUNK
-    while time < end:
-        chunk = min(chunk, end - time)
-        try:
-            images = _propagate(run, weights, arm, probe, directions, magnitudes, time, chunk)
-        except DomainError:
-            # A loop of huge gain: the deviation outgrows the domain unless it is rescaled sooner.
-            if chunk == 1:
-                raise
-            chunk //= 2
-            continue
-        directions, triangle = np.linalg.qr(images)
-        time += chunk
-        if time > begin + skip:
-            sums += np.log(np.abs(np.diag(triangle)))
-            counted = time - (begin + skip)
-        arm.run(run.signal[time - chunk : time])
-    exponents: Float = np.sort(sums / (counted * run.parameters.timestep))[::-1]
+    springs = run.lengths.shape[1]
+    gains = weights[:springs].T
+    with np.errstate(over="ignore", invalid="ignore"):
+        maps = run.maps(begin, min(math.ceil((skip + steps) / run.turn * _POINTS), _POINTS))
+        loop = [step.state + step.command @ (gains @ step.lengths) for step in maps]
+        random = np.random.default_rng(seed)
+        directions = np.linalg.qr(random.normal(size=(len(loop[0]), count)))[0]
+        sums = np.zeros(count)
+        for time in range(skip + steps):
+            directions = loop[int(time % run.turn * _POINTS / run.turn)] @ directions
+            if (time + 1 - skip) % _CHUNK == 0 or time + 1 in (skip, skip + steps):
+                if not np.isfinite(directions).all():
+                    raise ValueError("the gain of the loop is beyond all bounds")
+                directions, triangle = np.linalg.qr(directions)
+                if time >= skip:
+                    sums += np.log(np.abs(np.diag(triangle)))
+    exponents: Float = np.sort(sums / (steps * run.parameters.timestep))[::-1]
     return exponents
-
-
-def _propagate(
-    run: TeacherRun,
-    weights: Float,
-    arm: Arm,
-    probe: Arm,
-    directions: Float,
-    magnitudes: Float,
-    time: int,
-    chunk: int,
-) -> Float:
-    """Images of deviations (n, count) after `chunk` steps of the loop; the arm itself stays."""
-    offsets = run.offsets(weights, time, time + chunk)
-    nominal = _vector(arm)
-    probe.state = arm.state
-    probe.run(run.signal[time : time + chunk])
-    after = _vector(probe)
-    images = np.empty_like(directions)
-    for column, direction in enumerate(directions.T):
-        _assign(probe, arm, nominal + _SIZE * magnitudes * direction)
-        probe.run_closed_loop(weights, chunk, offsets)
-        images[:, column] = (_vector(probe) - after) / (_SIZE * magnitudes)
-    return images
 
 
 def _magnitudes(parameters: ArmParameters) -> Float:
@@ -189,21 +197,3 @@ def _magnitudes(parameters: ArmParameters) -> Float:
     coordinates = np.tile(joint, parameters.compartments)
     rate = 15.0  # 1/s, about one turn of the cycles
     return np.concatenate((coordinates, rate * coordinates, [0.5, 0.5, 8.0, 8.0]))
-
-
-def _vector(arm: Arm) -> Float:
-    """The state as one vector: coordinates, rates, base."""
-    state = arm.state
-    return np.concatenate((state.coordinates.ravel(), state.rates.ravel(), state.base))
-
-
-def _assign(probe: Arm, arm: Arm, vector: Float) -> None:
-    """Put `probe` into the state of `vector`, at the time of `arm`."""
-    state = arm.state
-    size = state.coordinates.size
-    probe.state = dataclasses.replace(
-        state,
-        coordinates=vector[:size].reshape(state.coordinates.shape),
-        rates=vector[size : 2 * size].reshape(state.rates.shape),
-        base=vector[2 * size :],
-    )

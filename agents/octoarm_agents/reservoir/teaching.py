@@ -178,7 +178,7 @@ class Lesson:
     def teach(self, teaching: Teaching) -> Taught:
         """The same fit from all rows, as an estimator whose errors refer to them."""
         readout = self.fit(teaching)
-        turn = LIMIT_CYCLES[teaching.target].period / self.run.parameters.timestep
+        turn = self.run.turn
         steps = round(_TURNS * turn)
         return Taught(teaching, readout, self.exponents(readout.weights_, steps))
 

@@ -148,7 +148,7 @@ class _Judge:
         self._amplitude = run.amplitude
         self._start = run.arm_after(FORCED_STEPS)
         self._orbit = LIMIT_CYCLES[run.target].orbit(run.amplitude)
-        self._period = LIMIT_CYCLES[run.target].period / run.parameters.timestep
+        self._period = run.turn
         self._noise = np.zeros((TRIAL_STEPS, 2))
         half = TRIAL_STEPS // 2
         random = np.random.default_rng(0)

@@ -227,6 +227,22 @@ impl Arm {
         }
     }
 
+    fn linearise<'py>(
+        &self,
+        py: Python<'py>,
+        theta: f64,
+        phi: f64,
+    ) -> PyResult<(Table<'py>, Table<'py>, Table<'py>)> {
+        check_command([theta, phi]).map_err(invalid)?;
+        let map = py
+            .detach(|| self.inner.linearise([theta, phi]))
+            .map_err(|failure| left_domain(py, &failure, 0, None, None))?;
+        let of = |matrix: octoarm_arm::Matrix<f64>| {
+            table(py, matrix.transpose().as_slice().to_vec(), matrix.ncols())
+        };
+        Ok((of(map.state)?, of(map.command)?, of(map.lengths)?))
+    }
+
     fn get_state<'py>(&self, py: Python<'py>) -> PyResult<State<'py>> {
         state_of(py, self.inner.state())
     }
