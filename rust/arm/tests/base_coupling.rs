@@ -1,10 +1,10 @@
 //! What a turning base does to the arm, in the paper's reading and in the world.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod reference;
+mod common;
 
+use common::{SplitMix64, arm_in, random_state};
 use octoarm_arm::{Actuator, Arm, ArmParameters, BaseCoupling};
-use reference::{SplitMix64, random_state};
 
 fn pair(parameters: &ArmParameters) -> [ArmParameters; 2] {
     [BaseCoupling::Gravity, BaseCoupling::Inertial]
@@ -20,9 +20,8 @@ fn with_a_still_base_both_couplings_have_the_same_bits() {
     let [mut gravity, mut inertial] = pair(&paper()).map(|parameters| {
         let mut state = random_state(&parameters, 5, 0.3);
         state.base = [0.4, -0.3, 0.0, 0.0];
-        let mut arm = Arm::undeformed(parameters, Actuator::Direct).unwrap();
-        arm.set_state(&state).unwrap();
-        arm
+
+        arm_in(&parameters, Actuator::Direct, &state)
     });
     // Degrees and radians do not give the angle back to the bit; the first step moves the base by it.
     let command = gravity.base_degrees();

@@ -1,10 +1,10 @@
 //! The integrator has the order it claims.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod reference;
+mod common;
 
-use octoarm_arm::{Actuator, Arm, ArmParameters, BaseCoupling};
-use reference::random_state;
+use common::{arm_in, random_state};
+use octoarm_arm::{Actuator, ArmParameters, BaseCoupling};
 
 const DURATION: f64 = 0.1;
 /// Steps over the duration: 0.5 ms halved five times.
@@ -16,8 +16,7 @@ fn lengths_after(parameters: &ArmParameters, steps: u32, scale: f64) -> Vec<f64>
     let parameters = ArmParameters { timestep: DURATION / f64::from(steps), ..parameters.clone() };
     let mut state = random_state(&parameters, 1, scale);
     state.base = [0.1, -0.05, 2.0, 1.0];
-    let mut arm = Arm::undeformed(parameters, Actuator::Servo).unwrap();
-    arm.set_state(&state).unwrap();
+    let mut arm = arm_in(&parameters, Actuator::Servo, &state);
     for _ in 0..steps {
         arm.step([30.0, -20.0]).unwrap();
     }

@@ -1,6 +1,9 @@
 //! The same inputs give the same bits: again, after a restart, on every instruction set.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
+
+use common::{arm_bits, bits, congruential};
 use octoarm_arm::{
     Actuator, Arm, ArmParameters, ArmState, BaseCoupling, InstructionSet, LinearReadout,
     ReferenceArea, VolumeForce,
@@ -12,10 +15,7 @@ const ACTUATORS: [Actuator; 2] = [Actuator::Direct, Actuator::Servo];
 /// the direct base small enough to stay in the domain.
 fn commands(actuator: Actuator, steps: usize, seed: u64) -> Vec<[f64; 2]> {
     let mut x = seed;
-    let mut uniform = || {
-        x = x.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (x >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    };
+    let mut uniform = || congruential(&mut x);
     let mut now = [0.0; 2];
     (0..steps)
         .map(|step| {
@@ -27,21 +27,6 @@ fn commands(actuator: Actuator, steps: usize, seed: u64) -> Vec<[f64; 2]> {
             now
         })
         .collect()
-}
-
-fn bits(values: &[f64]) -> Vec<u64> {
-    values.iter().map(|value| value.to_bits()).collect()
-}
-
-/// Everything that can differ, as bits.
-fn fingerprint(arm: &Arm) -> Vec<u64> {
-    let state = arm.state();
-    let mut all = bits(state.coordinates.as_flattened());
-    all.extend(bits(state.rates.as_flattened()));
-    all.extend(bits(&state.base));
-    all.push(state.steps);
-    all.extend(bits(&arm.lengths()));
-    all
 }
 
 /// Sets the arm in motion, with muscles at work.
@@ -58,11 +43,11 @@ fn moving(actuator: Actuator) -> Arm {
 
 /// Steps two arms side by side and compares everything after every step.
 fn assert_same_future(one: &mut Arm, two: &mut Arm, commands: &[[f64; 2]]) {
-    assert_eq!(fingerprint(one), fingerprint(two), "before the first step");
+    assert_eq!(arm_bits(one), arm_bits(two), "before the first step");
     for (step, command) in commands.iter().enumerate() {
         one.step(*command).unwrap();
         two.step(*command).unwrap();
-        assert_eq!(fingerprint(one), fingerprint(two), "step {step}");
+        assert_eq!(arm_bits(one), arm_bits(two), "step {step}");
     }
 }
 
@@ -75,7 +60,7 @@ fn the_same_run_twice() {
     let parameters = ArmParameters { gravity: [1.0, 2.0, 9.0], ..ArmParameters::default() };
     let one = Arm::new(parameters.clone(), Actuator::Servo).unwrap();
     let two = Arm::new(parameters, Actuator::Servo).unwrap();
-    assert_eq!(fingerprint(&one), fingerprint(&two));
+    assert_eq!(arm_bits(&one), arm_bits(&two));
 }
 
 #[test]
@@ -83,19 +68,19 @@ fn other_commands_give_other_bits() {
     let (mut one, mut two) = (moving(Actuator::Servo), moving(Actuator::Servo));
     one.step([1.0, 0.0]).unwrap();
     two.step([1.0 + 1e-12, 0.0]).unwrap();
-    assert_ne!(fingerprint(&one), fingerprint(&two));
+    assert_ne!(arm_bits(&one), arm_bits(&two));
 }
 
 #[test]
 fn a_clone_goes_the_same_way_and_leaves_the_original_alone() {
     for actuator in ACTUATORS {
         let mut arm = moving(actuator);
-        let before = fingerprint(&arm);
+        let before = arm_bits(&arm);
         let mut clone = arm.clone();
         for command in commands(actuator, 100, 3) {
             clone.step(command).unwrap();
         }
-        assert_eq!(fingerprint(&arm), before);
+        assert_eq!(arm_bits(&arm), before);
         let mut clone = arm.clone();
         assert_same_future(&mut arm, &mut clone, &commands(actuator, 500, 4));
     }
@@ -149,7 +134,7 @@ fn one_call_for_many_steps_is_many_steps() {
         many.step(*command).unwrap();
         assert_eq!(bits(&many.lengths()), bits(row));
     }
-    assert_eq!(fingerprint(&one), fingerprint(&many));
+    assert_eq!(arm_bits(&one), arm_bits(&many));
 }
 
 #[test]
@@ -168,7 +153,7 @@ fn the_closed_loop_is_steps_commanded_by_the_readout() {
         many.step([said[0] + push[0], said[1] + push[1]]).unwrap();
         assert_eq!(bits(&many.lengths()), bits(row));
     }
-    assert_eq!(fingerprint(&one), fingerprint(&many));
+    assert_eq!(arm_bits(&one), arm_bits(&many));
 }
 
 #[test]
@@ -189,7 +174,7 @@ fn every_instruction_set_gives_the_same_bits() {
                 for arm in &mut arms {
                     arm.step(command).unwrap();
                 }
-                let [baseline, avx2, avx512] = arms.each_ref().map(fingerprint);
+                let [baseline, avx2, avx512] = arms.each_ref().map(arm_bits);
                 assert_eq!(baseline, avx2, "AVX2, {actuator:?}, step {step}");
                 assert_eq!(baseline, avx512, "AVX-512, {actuator:?}, step {step}");
             }

@@ -1,15 +1,15 @@
 //! Where the model ends, it says so and stays where it was.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-mod reference;
+mod common;
 
 use std::f64::consts::FRAC_PI_4;
 
+use common::{SplitMix64, arm_bits, numbers};
 use octoarm_arm::{
     Actuator, Arm, ArmParameters, ArmState, COMMAND_LIMIT, Limit, ParameterError, check_command,
     domain,
 };
-use reference::SplitMix64;
 
 fn random_command(random: &mut SplitMix64, amplitude: f64) -> [f64; 2] {
     [amplitude * random.symmetric(), amplitude * random.symmetric()]
@@ -25,19 +25,8 @@ fn carried(actuator: Actuator) -> Arm {
 }
 
 fn assert_finite(arm: &Arm) {
-    let state = arm.state();
-    let numbers = state.coordinates.as_flattened().iter().chain(state.rates.as_flattened());
-    assert!(numbers.chain(&state.base).chain(&arm.lengths()).all(|value| value.is_finite()));
-}
-
-/// State and lengths as bits: `==` on numbers would take −0 for 0.
-fn bits(arm: &Arm) -> Vec<u64> {
-    let state = arm.state();
-    let numbers = state.coordinates.as_flattened().iter().chain(state.rates.as_flattened());
-    let mut bits: Vec<u64> =
-        numbers.chain(&state.base).chain(&arm.lengths()).map(|value| value.to_bits()).collect();
-    bits.push(state.steps);
-    bits
+    let all = [numbers(&arm.state()), arm.lengths()].concat();
+    assert!(all.iter().all(|value| value.is_finite()));
 }
 
 #[test]
@@ -57,14 +46,14 @@ fn fail_and_recover(amplitude: f64, most: u32, seed: u64) {
     let mut arm = carried(Actuator::Direct);
     let mut made = 0;
     let (before, failure) = loop {
-        let before = bits(&arm);
+        let before = arm_bits(&arm);
         match arm.step(random_command(&mut random, amplitude)) {
             Ok(()) => made += 1,
             Err(failure) => break (before, failure),
         }
         assert!(made < most, "{name}: still in the domain");
     };
-    assert_eq!(bits(&arm), before, "{name}: the failing step left a trace");
+    assert_eq!(arm_bits(&arm), before, "{name}: the failing step left a trace");
     assert_finite(&arm);
 
     // The time at which the failing step would have ended.
@@ -83,9 +72,9 @@ fn fail_and_recover(amplitude: f64, most: u32, seed: u64) {
     // Holding the base still, the arm may calm down or fail again, but cleanly.
     let still = arm.base_degrees();
     for _ in 0..100 {
-        let before = bits(&arm);
+        let before = arm_bits(&arm);
         if arm.step(still).is_err() {
-            assert_eq!(bits(&arm), before, "{name}");
+            assert_eq!(arm_bits(&arm), before, "{name}");
         }
         assert_finite(&arm);
     }
@@ -96,7 +85,7 @@ fn fail_and_recover(amplitude: f64, most: u32, seed: u64) {
         arm.step([0.1, -0.1]).unwrap();
         new.step([0.1, -0.1]).unwrap();
     }
-    assert_eq!(bits(&arm), bits(&new), "{name}");
+    assert_eq!(arm_bits(&arm), arm_bits(&new), "{name}");
 }
 
 #[test]
@@ -106,12 +95,12 @@ fn commands_that_are_not_finite_are_errors() {
         for _ in 0..20 {
             arm.step([0.1, 0.1]).unwrap();
         }
-        let before = bits(&arm);
+        let before = arm_bits(&arm);
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for command in [[value, 0.0], [0.0, value], [value, value]] {
                 let failure = arm.step(command).expect_err("no angle at all");
                 assert_eq!(failure.limit, Limit::NotFinite, "{actuator:?}, {command:?}");
-                assert_eq!(bits(&arm), before, "{actuator:?}, {command:?}");
+                assert_eq!(arm_bits(&arm), before, "{actuator:?}, {command:?}");
             }
         }
         arm.step([0.1, 0.1]).unwrap();
@@ -135,10 +124,10 @@ fn commands_out_of_this_world_end_in_an_error() {
                 // A direct base fails at once, the servo when it has gathered speed.
                 let mut failed = false;
                 for _ in 0..100 {
-                    let before = bits(&arm);
+                    let before = arm_bits(&arm);
                     if arm.step(command).is_err() {
                         failed = true;
-                        assert_eq!(bits(&arm), before, "{actuator:?}, {command:?}");
+                        assert_eq!(arm_bits(&arm), before, "{actuator:?}, {command:?}");
                     }
                     assert_finite(&arm);
                 }
@@ -248,7 +237,7 @@ fn a_state_that_cannot_be_is_refused_and_changes_nothing() {
     for _ in 0..100 {
         arm.step([20.0, -10.0]).unwrap();
     }
-    let before = bits(&arm);
+    let before = arm_bits(&arm);
     let height = arm.parameters().rest_height();
     let cases: Vec<(&str, ArmState)> = vec![
         ("state.coordinates", spoilt(&arm, |s| s.coordinates.truncate(19))),
@@ -284,7 +273,7 @@ fn a_state_that_cannot_be_is_refused_and_changes_nothing() {
             other => panic!("{name}: {other}"),
         };
         assert_eq!(found, name, "{refusal}");
-        assert_eq!(bits(&arm), before, "{name}: the refused state left a trace");
+        assert_eq!(arm_bits(&arm), before, "{name}: the refused state left a trace");
     }
     // The arm goes on as if nothing had been tried.
     let mut untouched = resting(Actuator::Servo);
@@ -295,7 +284,7 @@ fn a_state_that_cannot_be_is_refused_and_changes_nothing() {
         arm.step([-20.0, 30.0]).unwrap();
         untouched.step([-20.0, 30.0]).unwrap();
     }
-    assert_eq!(bits(&arm), bits(&untouched));
+    assert_eq!(arm_bits(&arm), arm_bits(&untouched));
 }
 
 #[test]
@@ -305,9 +294,9 @@ fn finite_rates_of_any_size_are_a_state_and_then_an_error() {
             let mut arm = resting(Actuator::Servo);
             let state = spoilt(&arm, |s| s.rates[10][index] = rate);
             arm.set_state(&state).unwrap();
-            let before = bits(&arm);
+            let before = arm_bits(&arm);
             arm.step([0.0; 2]).expect_err("a speed out of this world");
-            assert_eq!(bits(&arm), before);
+            assert_eq!(arm_bits(&arm), before);
         }
     }
 }
@@ -348,7 +337,7 @@ fn muscles_of_the_wrong_shape_or_size_are_refused() {
     assert_eq!(arm.muscles(), (vec![0.01; 80], vec![0.02; 80]));
     // Muscles that tear the arm apart end in an error.
     arm.set_muscles(&[1e300; 80], &[-1e300; 80]).unwrap();
-    let before = bits(&arm);
+    let before = arm_bits(&arm);
     arm.step([0.0; 2]).expect_err("torn apart");
-    assert_eq!(bits(&arm), before);
+    assert_eq!(arm_bits(&arm), before);
 }

@@ -1,20 +1,19 @@
 //! Where the energy goes: nowhere without dampers and water, and never up with them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod reference;
+mod common;
 
+use common::{arm_in, random_state};
 use octoarm_arm::{Actuator, Arm, ArmParameters};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use reference::random_state;
 
 /// An arm set swinging on a fixed, upright base.
 fn swinging(parameters: ArmParameters, seed: u64, scale: f64) -> Arm {
     let mut state = random_state(&parameters, seed, scale);
     state.base = [0.0; 4];
-    let mut arm = Arm::undeformed(parameters, Actuator::Direct).unwrap();
-    arm.set_state(&state).unwrap();
-    arm
+
+    arm_in(&parameters, Actuator::Direct, &state)
 }
 
 fn total_energy(arm: &Arm) -> f64 {

@@ -1,12 +1,12 @@
 //! The fast kernel against the plain world-frame reference.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
 mod reference;
 
-use octoarm_arm::{
-    Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ReferenceArea, VolumeForce,
-};
-use reference::{BaseSample, Reference, random_state};
+use common::{arm_in, random_state};
+use octoarm_arm::{Actuator, ArmParameters, BaseCoupling, BaseMotion, ReferenceArea, VolumeForce};
+use reference::{BaseSample, Reference};
 
 /// Rounding differs between the two formulations, nothing else does: a perturbation of 1e-16 stays
 /// below 1e-15 m over 1,000 steps. The bound leaves room for other seeds.
@@ -52,8 +52,7 @@ fn accelerations_agree_in_random_states() {
     for (index, parameters) in bodies().into_iter().enumerate() {
         for seed in 0..20 {
             let state = random_state(&parameters, seed + 100 * index as u64, 1.0);
-            let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
-            arm.set_state(&state).unwrap();
+            let mut arm = arm_in(&parameters, Actuator::Direct, &state);
             let longitudinal = muscles(arm.observation_len(), seed as f64);
             let transverse = muscles(arm.observation_len(), 0.5 + seed as f64);
             arm.set_muscles(&longitudinal, &transverse).unwrap();
@@ -88,8 +87,7 @@ fn lengths_agree_over_a_thousand_steps() {
     for (index, parameters) in bodies().into_iter().enumerate() {
         for actuator in [Actuator::Direct, Actuator::Servo] {
             let state = random_state(&parameters, 7 + index as u64, 0.3);
-            let mut arm = Arm::undeformed(parameters.clone(), actuator).unwrap();
-            arm.set_state(&state).unwrap();
+            let mut arm = arm_in(&parameters, actuator, &state);
             let longitudinal = muscles(arm.observation_len(), 0.1);
             let transverse = muscles(arm.observation_len(), 0.9);
             arm.set_muscles(&longitudinal, &transverse).unwrap();
@@ -123,9 +121,8 @@ fn lengths_agree_over_a_thousand_steps() {
 #[test]
 fn joints_are_as_far_apart_as_the_springs_are_long() {
     let parameters = ArmParameters::default();
-    let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
     let state = random_state(&parameters, 7, 1.0);
-    arm.set_state(&state).unwrap();
+    let arm = arm_in(&parameters, Actuator::Direct, &state);
     let (joints, centres, lengths) = (arm.joints(), arm.positions(), arm.lengths());
     assert_eq!(joints.len(), parameters.compartments + 1);
     let distance = |a: [f64; 3], b: [f64; 3]| {
@@ -158,8 +155,7 @@ fn energies_and_positions_agree() {
 
 fn energies_and_positions_agree_for(parameters: &ArmParameters) {
     let state = random_state(parameters, 3, 1.0);
-    let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
-    arm.set_state(&state).unwrap();
+    let arm = arm_in(parameters, Actuator::Direct, &state);
     let reference = Reference::new(parameters, &state);
     let base = BaseSample {
         angle: [state.base[0], state.base[1]],

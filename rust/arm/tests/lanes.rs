@@ -1,6 +1,9 @@
 //! Arms in lanes have the very bits that they have alone.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
+
+use common::{arm_bits, congruential, state_bits};
 use octoarm_arm::{
     Actuator, Arm, ArmLanes, ArmParameters, BaseCoupling, InstructionSet, ReferenceArea,
     VolumeForce,
@@ -8,12 +11,6 @@ use octoarm_arm::{
 
 const SETS: [InstructionSet; 3] =
     [InstructionSet::Baseline, InstructionSet::Avx2, InstructionSet::Avx512];
-
-/// A linear congruential generator's numbers in [-1, 1).
-fn uniform(x: &mut u64) -> f64 {
-    *x = x.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-    (*x >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-}
 
 /// Eight different bodies, every other on a servo, with muscles at work.
 fn bodies(compartments: usize) -> Vec<Arm> {
@@ -60,20 +57,10 @@ fn bodies(compartments: usize) -> Vec<Arm> {
         .collect()
 }
 
-fn fingerprint(state: &octoarm_arm::ArmState, lengths: &[f64]) -> Vec<u64> {
-    let coordinates = state.coordinates.as_flattened().iter();
-    let all = coordinates.chain(state.rates.as_flattened()).chain(&state.base).chain(lengths);
-    all.map(|value| value.to_bits()).chain([state.steps]).collect()
-}
-
 fn assert_same(lanes: &ArmLanes, lane: usize, arm: &Arm, step: usize) {
     let mut lengths = vec![0.0; arm.observation_len()];
     lanes.lengths_into(lane, &mut lengths);
-    assert_eq!(
-        fingerprint(&lanes.state(lane), &lengths),
-        fingerprint(&arm.state(), &arm.lengths()),
-        "lane {lane}, step {step}"
-    );
+    assert_eq!(state_bits(&lanes.state(lane), &lengths), arm_bits(arm), "lane {lane}, step {step}");
     assert_eq!(lanes.base_degrees(lane), arm.base_degrees());
 }
 
@@ -92,9 +79,10 @@ fn eight_different_arms_on_every_instruction_set() {
             for step in 0..400 {
                 for (lane, command) in commands.iter_mut().enumerate() {
                     if lane % 2 == 1 {
-                        *command = [command[0] + 0.02 * uniform(&mut x), 0.02 * uniform(&mut x)];
+                        *command =
+                            [command[0] + 0.02 * congruential(&mut x), 0.02 * congruential(&mut x)];
                     } else if step % 10 == 0 {
-                        *command = [40.0 * uniform(&mut x), 40.0 * uniform(&mut x)];
+                        *command = [40.0 * congruential(&mut x), 40.0 * congruential(&mut x)];
                     }
                 }
                 // An arm that waits now and then.

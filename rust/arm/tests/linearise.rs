@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod common;
+
+use common::numbers;
 use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, BaseCoupling};
 
 fn swinging(actuator: Actuator, base_coupling: BaseCoupling) -> Arm {
@@ -14,17 +17,10 @@ fn swinging(actuator: Actuator, base_coupling: BaseCoupling) -> Arm {
     arm
 }
 
-fn vector(state: &ArmState) -> Vec<f64> {
-    let [coordinates, rates] = [&state.coordinates, &state.rates].map(|rows| rows.as_flattened());
-    [coordinates, rates, &state.base].concat()
-}
-
 fn displaced(state: &ArmState, by: &[f64]) -> ArmState {
     let mut state = state.clone();
-    let size = state.coordinates.as_flattened().len();
     let numbers = state.coordinates.as_flattened_mut().iter_mut();
     let numbers = numbers.chain(state.rates.as_flattened_mut()).chain(&mut state.base);
-    assert_eq!(by.len(), 2 * size + 4);
     numbers.zip(by).for_each(|(number, by)| *number += by);
     state
 }
@@ -55,7 +51,7 @@ fn the_map_is_that_of_small_deviations() {
                 arm.set_state(&displaced(&state, &by)).unwrap();
                 let lengths = arm.lengths();
                 arm.step([0, 1].map(|axis| command[axis] + share * turn[axis])).unwrap();
-                (vector(&arm.state()), lengths)
+                (numbers(&arm.state()), lengths)
             };
             let x = nalgebra::DVector::from_vec(direction.clone());
             let u = nalgebra::DVector::from_row_slice(&turn);

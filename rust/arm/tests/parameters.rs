@@ -1,15 +1,17 @@
 //! Parameters: what is refused and in which words, files, and bodies of every length.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
 mod reference;
 
+use common::{arm_in, random_state};
 use octoarm_arm::{
     Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ParameterError, ReferenceArea,
     VolumeForce,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use reference::{BaseSample, Reference, random_state};
+use reference::{BaseSample, Reference};
 use serde_json::Value;
 
 type Field = fn(&mut ArmParameters) -> &mut f64;
@@ -324,8 +326,7 @@ fn arms_of_every_length_agree_with_the_reference() {
             ..ArmParameters::default()
         };
         let state = random_state(&parameters, compartments as u64, 0.5);
-        let mut arm = Arm::undeformed(parameters.clone(), Actuator::Servo).unwrap();
-        arm.set_state(&state).unwrap();
+        let mut arm = arm_in(&parameters, Actuator::Servo, &state);
         let count = arm.observation_len();
         assert_eq!(count, 4 * compartments);
         let push: Vec<f64> = (0..count).map(|i| 0.05 * (1.3 * i as f64).sin()).collect();

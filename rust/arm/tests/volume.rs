@@ -1,10 +1,10 @@
 //! The isovolumetric forces of Eqs. 7 and 8 push the volume back to where it was.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod reference;
+mod common;
 
+use common::{arm_in, random_state};
 use octoarm_arm::{Actuator, Arm, ArmParameters, BaseMotion, VolumeForce};
-use reference::random_state;
 
 const READINGS: [VolumeForce; 2] = [VolumeForce::Applied, VolumeForce::Total];
 
@@ -124,10 +124,8 @@ fn the_passive_weightless_arm_as_printed_has_no_volume_forces() {
     let dry = ArmParameters { water_density: 0.0, gravity: [0.0; 3], ..ArmParameters::default() };
     for seed in 0..10 {
         let state = random_state(&dry, seed, 1.0);
-        let mut with = Arm::undeformed(dry.clone(), Actuator::Direct).unwrap();
-        let mut without = Arm::undeformed(without_gains(&dry), Actuator::Direct).unwrap();
-        with.set_state(&state).unwrap();
-        without.set_state(&state).unwrap();
+        let mut with = arm_in(&dry, Actuator::Direct, &state);
+        let mut without = arm_in(&without_gains(&dry), Actuator::Direct, &state);
         let still = BaseMotion::default();
         assert_eq!(with.accelerations(&still), without.accelerations(&still));
     }

@@ -1,12 +1,14 @@
 //! What the water does to the arm: it takes energy, and only from an arm that moves.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
 mod reference;
 
+use common::{arm_in, random_state};
 use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, BaseMotion, ParameterError};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use reference::{BaseSample, Reference, random_state};
+use reference::{BaseSample, Reference};
 
 /// Neither weight nor volume forces: the water's forces are drag and lift alone.
 fn swimmer() -> ArmParameters {
@@ -29,19 +31,13 @@ fn swinging(parameters: &ArmParameters, seed: u64) -> ArmState {
     state
 }
 
-fn arm_in(parameters: &ArmParameters, state: &ArmState) -> Arm {
-    let mut arm = Arm::undeformed(parameters.clone(), Actuator::Direct).unwrap();
-    arm.set_state(state).unwrap();
-    arm
-}
-
 /// Power of the water's forces \[W\] in the fast kernel. The water changes the accelerations by
 /// d = M⁻¹ Q, so its power u·Q is u·M d, and the kinetic energy ½ u·M u gives
 /// T(u + d s) − T(u − d s) = 2 s u·M d.
 fn power_from_accelerations(parameters: &ArmParameters, state: &ArmState) -> f64 {
     let still = BaseMotion::default();
-    let wet = arm_in(parameters, state).accelerations(&still);
-    let dry = arm_in(&dry(parameters), state).accelerations(&still);
+    let wet = arm_in(parameters, Actuator::Direct, state).accelerations(&still);
+    let dry = arm_in(&dry(parameters), Actuator::Direct, state).accelerations(&still);
     let kinetic = |factor: f64| {
         let mut pushed = state.clone();
         for (j, rates) in pushed.rates.iter_mut().enumerate() {
@@ -49,7 +45,7 @@ fn power_from_accelerations(parameters: &ArmParameters, state: &ArmState) -> f64
                 *rate += factor * (wet[j][k] - dry[j][k]);
             }
         }
-        arm_in(parameters, &pushed).energy().kinetic
+        arm_in(parameters, Actuator::Direct, &pushed).energy().kinetic
     };
     let time = 1e-2;
     (kinetic(time) - kinetic(-time)) / (2.0 * time)
@@ -95,7 +91,8 @@ fn a_still_arm_feels_only_weight_and_buoyancy() {
         let mut state = swinging(&wet, seed);
         state.rates.fill([0.0; 7]);
         let still = BaseMotion::default();
-        let (mut wet, mut dry) = (arm_in(&wet, &state), arm_in(&dry, &state));
+        let (mut wet, mut dry) =
+            (arm_in(&wet, Actuator::Direct, &state), arm_in(&dry, Actuator::Direct, &state));
         assert_eq!(wet.accelerations(&still), dry.accelerations(&still), "seed {seed}");
     }
 }
@@ -110,8 +107,8 @@ fn water_forces_grow_with_the_square_of_the_velocity() {
             *rate *= factor;
         }
         let still = BaseMotion::default();
-        let wet = arm_in(&parameters, &state).accelerations(&still);
-        let dry = arm_in(&dry(&parameters), &state).accelerations(&still);
+        let wet = arm_in(&parameters, Actuator::Direct, &state).accelerations(&still);
+        let dry = arm_in(&dry(&parameters), Actuator::Direct, &state).accelerations(&still);
         let difference =
             |(w, d): (&[f64; 7], &[f64; 7])| -> [f64; 7] { std::array::from_fn(|k| w[k] - d[k]) };
         wet.iter().zip(&dry).map(difference).collect::<Vec<_>>()
@@ -137,7 +134,7 @@ fn the_energy_that_a_swing_loses_went_into_the_water() {
         ..swimmer()
     };
     for seed in 0..3 {
-        let mut arm = arm_in(&parameters, &swinging(&parameters, seed));
+        let mut arm = arm_in(&parameters, Actuator::Direct, &swinging(&parameters, seed));
         let total = |arm: &Arm| arm.energy().kinetic + arm.energy().elastic;
         let power = |arm: &Arm| {
             Reference::new(&parameters, &arm.state()).hydrodynamic_power(&BaseSample::default())

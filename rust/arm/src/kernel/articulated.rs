@@ -9,9 +9,9 @@
 use std::ops::Range;
 
 use super::body::Material;
+use super::kinematics::Angles;
 use super::plane::Plane;
 use super::rows::{Block, Row, WIDTH};
-use super::trigonometry::Angles;
 use super::water::External;
 
 /// What the outward sweep needs of each joint, divided by the joint's inertia.

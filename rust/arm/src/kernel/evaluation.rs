@@ -4,13 +4,13 @@ use std::ops::Range;
 
 use super::body::Body;
 use super::rows::{Block, Floor, FloorRef, Lengths, Muscles, Row, WIDTH, place, shift_outward};
-use super::{articulated, kinematics, plane, springs, trigonometry, water};
+use super::{articulated, kinematics, plane, springs, water};
 
 /// What the sweeps need of a chunk, beside its state.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 struct Link {
-    angles: trigonometry::Angles,
+    angles: kinematics::Angles,
     motion: kinematics::Motion,
     external: water::External,
     radial: [Row; 4],
@@ -19,7 +19,7 @@ struct Link {
 
 impl Link {
     const ZERO: Self = Self {
-        angles: trigonometry::Angles::ZERO,
+        angles: kinematics::Angles::ZERO,
         motion: kinematics::Motion::ZERO,
         external: water::External::ZERO,
         radial: [[0.0; WIDTH]; 4],
@@ -146,7 +146,7 @@ pub(crate) fn spring_lengths<const L: usize>(
     let Workspace { links, floors, .. } = workspace;
     let floor = gather_floor::<L>(body, coordinates, rates, c, floors);
     let angles = &mut links[c].angles;
-    trigonometry::angles(&coordinates[c], angles);
+    kinematics::angles(&coordinates[c], angles);
     springs::squared_lengths(&coordinates[c], angles, floor, &mut lengths.0);
 }
 
@@ -173,7 +173,7 @@ pub(crate) fn outward<const L: usize>(
     assert!(coordinates.len() == chunks && rates.len() == chunks);
     if !trigonometry_known {
         for c in block.clone() {
-            trigonometry::angles(&coordinates[c], &mut links[c].angles);
+            kinematics::angles(&coordinates[c], &mut links[c].angles);
         }
     }
     for c in block.clone() {

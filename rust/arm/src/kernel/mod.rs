@@ -7,8 +7,8 @@
 //!
 //! | part | pass | runs | gives |
 //! |---|---|---|---|
-//! | [`outward`] | [`trigonometry`] | every compartment by itself | sines and cosines of α, β |
-//! | | [`kinematics`] | base to tip | velocities, and accelerations that would arise with q̈ = 0 |
+//! | [`outward`] | [`kinematics::angles`] | every compartment by itself | sines and cosines of α, β |
+//! | | [`kinematics::outward`] | base to tip | velocities, and accelerations that would arise with q̈ = 0 |
 //! | | [`water`] | by itself | gravity, buoyancy, drag, lift (Eqs. 9–15), volume |
 //! | [`inward`] | [`springs`] | by itself | spring and volume forces (Eqs. 1–4, 7–8) |
 //! | | [`plane`] | by itself | inertia and bias of a plane with its four joint masses (Eqs. 5–6) |
@@ -40,7 +40,6 @@ mod kinematics;
 mod plane;
 mod rows;
 mod springs;
-mod trigonometry;
 mod water;
 
 pub(crate) use articulated::Travel as InertiaTravel;

@@ -5,8 +5,8 @@
 //! image of the axis `u` under `R_x(α) R_y(β)` and σ = ±1 tells springs 1, 2 from 3, 4.
 
 use super::body::{Material, Rest};
+use super::kinematics::Angles;
 use super::rows::{Block, FloorRef, Muscles, Row, WIDTH};
-use super::trigonometry::Angles;
 use super::water::External;
 
 /// Forces on the ceiling's joints, ceiling's frame: of the four springs, and the transverse τ.

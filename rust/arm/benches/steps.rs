@@ -1,13 +1,16 @@
 //! Makes physics steps and nothing else: what `count_operations.py` counts.
 //!
-//! `cargo run --release -p octoarm-arm --example steps -- one|lanes STEPS`
+//! `cargo bench -p octoarm-arm --bench steps -- one|lanes STEPS`
 #![allow(clippy::unwrap_used, clippy::print_stderr)]
 
 use octoarm_arm::{Actuator, Arm, ArmLanes, ArmParameters};
 
 fn main() {
-    let arguments: Vec<String> = std::env::args().collect();
+    // Cargo adds an option of its own.
+    let arguments: Vec<String> = std::env::args().filter(|word| word != "--bench").collect();
     let (kind, steps) = match &arguments[1..] {
+        // With all other benchmarks there is nothing to be done.
+        [] => return,
         [kind, steps] => (kind.as_str(), steps.parse::<u32>().unwrap()),
         _ => {
             eprintln!("usage: steps one|lanes STEPS");

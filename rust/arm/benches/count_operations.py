@@ -1,7 +1,6 @@
 """Counts the floating-point instructions of a physics step, by kind, under valgrind.
 
-    cargo build --release -p octoarm-arm --example steps
-    python rust/arm/examples/count_operations.py
+    python rust/arm/benches/count_operations.py
 
 Callgrind counts every instruction of the AVX2 kernel (it knows no AVX-512); objdump says what each
 is. Counted are the steps between a short run and a longer one. An instruction on four arms of the
@@ -9,6 +8,8 @@ eight in lanes is one on all eight with AVX-512, so that the count is halved for
 """
 
 import collections
+import functools
+import json
 import os
 import re
 import subprocess
@@ -16,7 +17,6 @@ import tempfile
 from pathlib import Path
 
 STEPS = (20, 120)
-BINARY = Path(__file__).parents[3] / "target/release/examples/steps"
 KINDS = {
     "fused": r"vf[n]?m(add|sub)\d+[ps]d",
     "multiply": r"vmul[ps]d",
@@ -26,10 +26,21 @@ KINDS = {
 }
 
 
+@functools.cache
+def binary() -> str:
+    """Build what makes the steps, and say where it is."""
+    build = ["cargo", "bench", "-p", "octoarm-arm", "--bench", "steps", "--no-run"]
+    text = subprocess.run(
+        [*build, "--message-format=json"], stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
+    built = [json.loads(line).get("executable") for line in text.splitlines()]
+    return str(next(path for path in built if path))
+
+
 def kinds() -> dict[int, str]:
     """Kind of every floating-point instruction by its address, and whether it is packed."""
     text = subprocess.run(
-        ["objdump", "-d", "--no-show-raw-insn", BINARY], capture_output=True, text=True, check=True
+        ["objdump", "-d", "--no-show-raw-insn", binary()], capture_output=True, text=True, check=True
     ).stdout
     found = {}
     for address, mnemonic in re.findall(r"^\s+([0-9a-f]+):\t(\w+)", text, re.MULTILINE):
@@ -49,7 +60,7 @@ def executed(kind: str, steps: int, known: dict[int, str]) -> collections.Counte
                 "--tool=callgrind",
                 "--dump-instr=yes",
                 f"--callgrind-out-file={out}",
-                str(BINARY),
+                binary(),
                 kind,
                 str(steps),
             ],
