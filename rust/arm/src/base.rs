@@ -18,11 +18,11 @@ pub enum Actuator {
 /// Motion of the base at one instant; index 0 is θ, index 1 is φ.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BaseMotion {
-    /// Angles \[rad\].
+    /// Angles θ, φ \[rad\].
     pub angle: [f64; 2],
-    /// Angular rates \[rad/s\].
+    /// Angular rates θ̇, φ̇ \[rad/s\].
     pub rate: [f64; 2],
-    /// Angular accelerations \[rad/s²\].
+    /// Angular accelerations θ̈, φ̈ \[rad/s²\].
     pub acceleration: [f64; 2],
 }
 
@@ -43,7 +43,8 @@ impl Servo {
         Self { omega, duration, decay: exp_negative(omega * duration) }
     }
 
-    /// Angle and rate at the end of the duration.
+    /// Angle \[rad\] and rate \[rad/s\] at the end of the duration under a command \[rad\]; any
+    /// unit of angle does, if it is the same for all.
     #[must_use]
     pub fn advance(&self, angle: f64, rate: f64, command: f64) -> (f64, f64) {
         let offset = angle - command;

@@ -14,11 +14,11 @@ use crate::state::COORDINATES;
 
 /// Largest |α| and |β| of a universal joint \[rad\]: 150 degrees.
 pub const BEND_ANGLE: f64 = 5.0 * std::f64::consts::FRAC_PI_6;
-/// Strut height relative to its rest height.
+/// Allowed strut height relative to its rest height.
 pub const HEIGHT: (f64, f64) = (0.1, 3.0);
-/// Radius relative to its rest value.
+/// Allowed radius relative to its rest value.
 pub const RADIUS: (f64, f64) = (0.2, 3.0);
-/// Longitudinal spring length relative to its rest length.
+/// Allowed length of a longitudinal spring relative to its rest length.
 pub const SPRING_LENGTH: (f64, f64) = (0.05, 3.0);
 
 /// The limits within which the model speaks of a soft arm.
@@ -53,15 +53,15 @@ impl Limit {
 /// The arm has left the domain in which the model describes it. The arm keeps its last valid state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DomainError {
-    /// Which limit was passed.
+    /// Limit that was passed.
     pub limit: Limit,
-    /// The compartment, counted from 1 at the base.
+    /// Compartment, counted from 1 at the base.
     pub compartment: usize,
-    /// The value found (relative to rest, or radians for the bend angle).
+    /// Value that was found, relative to rest, or in radians for the bend angle.
     pub value: f64,
-    /// The lower limit.
+    /// Lower limit, in the unit of the value.
     pub low: f64,
-    /// The upper limit.
+    /// Upper limit, in the unit of the value.
     pub high: f64,
     /// Time since the last reset at which the failing step would have ended \[s\].
     pub time: f64,
@@ -144,7 +144,7 @@ const ROUNDING: f64 = 1e-14;
 #[repr(C, align(64))]
 pub(crate) struct Bounds {
     height: [Row; 2],
-    /// Of the squared length.
+    /// Bounds of the squared length.
     length: [Row; 2],
 }
 

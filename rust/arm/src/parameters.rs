@@ -43,62 +43,78 @@ pub enum BaseCoupling {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
-    /// How a turning base reaches the arm; the paper leaves it open.
+    /// How a turning base reaches the arm, which the paper leaves open; by default
+    /// [`BaseCoupling::Gravity`].
     pub base_coupling: BaseCoupling,
-    /// Rest length `l_0` of every longitudinal spring \[m\].
+    /// Rest length `l_0` of every longitudinal spring \[m\], in (0, 10\] and longer than the taper
+    /// from one plane to the next; by default 0.02 (Table 1).
     pub rest_length: f64,
-    /// Radius `r_0` of the base plane, and rest radius of the first plane's taper \[m\].
+    /// Radius `r_0` of the base plane, where the taper begins \[m\], in (0, 10\]; by default 0.015
+    /// (Table 1).
     pub base_radius: f64,
-    /// Rest radius of the last plane \[m\]; the planes between taper linearly.
+    /// Rest radius of the last plane \[m\], in (0, 10\]; by default 0.0067 (Table 1). The planes
+    /// between taper linearly.
     pub tip_radius: f64,
-    /// Mass `M_l` of a longitudinal spring \[kg\]; `longitudinal_mass_share` of it moves with its
-    /// upper joint.
+    /// Mass `M_l` of a longitudinal spring \[kg\], in (0, 100\]; by default 1.25e-3 (Table 1). The
+    /// part `longitudinal_mass_share` of it moves with its upper joint.
     pub longitudinal_mass: f64,
-    /// Mass `M_r` of a transverse spring, lumped at the same joint \[kg\].
+    /// Mass `M_r` of a transverse spring, lumped at the same joint \[kg\], in \[0, 100\]; by
+    /// default 1.25e-3 (Table 1).
     pub transverse_mass: f64,
     /// Part of `longitudinal_mass` that moves with the joint, from 1/3 (a rod that turns about its
-    /// foot, Eq. 2) to 1 (all of it at the joint, Eqs. 1 and 3).
+    /// foot, Eq. 2) to 1 (all of it at the joint, Eqs. 1 and 3); by default 0.64 (docs/body.md).
     pub longitudinal_mass_share: f64,
-    /// Damping `C_l` of a longitudinal spring \[N s/m\].
+    /// Damping `C_l` of a longitudinal spring \[N s/m\], in \[0, 1e6\]; by default 1 (Table 1).
     pub longitudinal_damping: f64,
-    /// Damping `C_r` of a transverse spring \[N s/m\].
+    /// Damping `C_r` of a transverse spring \[N s/m\], in \[0, 1e6\]; by default 1 (Table 1).
     pub transverse_damping: f64,
-    /// Stiffness `K_l` of a longitudinal spring \[N/m\].
+    /// Stiffness `K_l` of a longitudinal spring \[N/m\], in (0, 1e9\]; by default 196 (Table 1).
     pub longitudinal_stiffness: f64,
-    /// Stiffness `K_r` of a transverse spring \[N/m\].
+    /// Stiffness `K_r` of a transverse spring \[N/m\], in (0, 1e9\]; by default 1570 (Table 1).
     pub transverse_stiffness: f64,
-    /// Gain `K_lv` of the isovolumetric force on longitudinal springs, Eq. 7 \[1/m³\].
+    /// Gain `K_lv` of the isovolumetric force on longitudinal springs, Eq. 7 \[1/m³\], in \[0,
+    /// 1e12\]; by default 1e6 (Table 1).
     pub longitudinal_volume_gain: f64,
-    /// Gain `K_rv` of the isovolumetric force on transverse springs, Eq. 8 \[1/m³\].
+    /// Gain `K_rv` of the isovolumetric force on transverse springs, Eq. 8 \[1/m³\], in \[0,
+    /// 1e12\]; by default 1e6 (Table 1).
     pub transverse_volume_gain: f64,
-    /// Density `ρ_w` of the water \[kg/m³\]; 0 takes the arm out of the water.
+    /// Density `ρ_w` of the water \[kg/m³\], in \[0, 1e5\]; by default 1000 (Table 1). With 0 there
+    /// is no water.
     pub water_density: f64,
-    /// Density `ρ_o` of the arm \[kg/m³\], Eqs. 10–11.
+    /// Density `ρ_o` of the arm \[kg/m³\], Eqs. 10–11, in \[0, 1e5\]; by default 1110
+    /// (docs/body.md).
     pub arm_density: f64,
-    /// Gravity vector in the world frame \[m/s²\]; the resting arm points along +z, so the default hangs.
+    /// Gravity in the world frame \[m/s²\], each entry in \[−1e3, 1e3\]; by default (0, 0, 9.81).
+    /// The resting arm points along +z, so it hangs.
     pub gravity: [f64; 3],
-    /// Factor on the reference area of Eqs. 12–13.
+    /// Factor on the reference area of Eqs. 12–13, in \[0, 1e4\]; by default 1.5 (docs/body.md).
     pub area_scale: f64,
-    /// Which area `area_scale` multiplies.
+    /// Area that `area_scale` multiplies; by default [`ReferenceArea::Wetted`].
     pub reference_area: ReferenceArea,
-    /// Reading of Eqs. 7–8.
+    /// Reading of Eqs. 7–8; by default [`VolumeForce::Applied`].
     pub volume_force: VolumeForce,
-    /// Eq. 14, highest power first, angle in degrees.
+    /// Coefficients of Eq. 14, highest power first, of an angle in degrees, each in \[−1e3, 1e3\]
+    /// and such that the drag is never below 0 from 0 to 90 degrees; by default the paper's.
     pub drag_coefficients: [f64; 5],
-    /// Eq. 15, highest power first, angle in degrees.
+    /// Coefficients of Eq. 15, highest power first, of an angle in degrees, each in \[−1e3, 1e3\];
+    /// by default the paper's.
     pub lift_coefficients: [f64; 5],
-    /// Factor on the lift force; 0 turns lift off. Eq. 13 leaves its direction open: +1 is along the
-    /// part of −v normal to the strut, as on a slender body in a cross-flow; −1 is the opposite.
+    /// Factor on the lift force, in \[−1e4, 1e4\]; by default 1, and 0 turns lift off. Eq. 13
+    /// leaves its direction open: +1 is along the part of −v normal to the strut, as on a slender
+    /// body in a cross-flow; −1 is the opposite.
     pub lift_scale: f64,
-    /// Mass `M_ce` of a plane at its centre \[kg\], beside its four joint masses.
+    /// Mass `M_ce` of a plane at its centre, beside its four joint masses \[kg\], in \[0, 100\]; by
+    /// default 0.
     pub plane_mass: f64,
-    /// Moment of inertia `I_ce` of a plane about its x and y axes \[kg m²\]; twice that about z.
+    /// Moment of inertia `I_ce` of a plane about its x and y axes, of which it has twice as much
+    /// about z \[kg m²\], in \[0, 100\]; by default 0.
     pub plane_inertia: f64,
-    /// Number of compartments.
+    /// Number of compartments, from 1 to [`ArmParameters::MAX_COMPARTMENTS`]; by default 20 (Table
+    /// 1).
     pub compartments: usize,
-    /// Step of the fourth-order Runge–Kutta method \[s\].
+    /// Step of the fourth-order Runge–Kutta method \[s\], in (0, 0.1\]; by default 1e-3 (Table 1).
     pub timestep: f64,
-    /// Natural frequency of the critically damped base servo \[Hz\].
+    /// Natural frequency of the critically damped base servo \[Hz\], in (0, 1e4\]; by default 12.
     pub servo_frequency: f64,
 }
 

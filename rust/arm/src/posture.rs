@@ -13,7 +13,7 @@ pub struct Energy {
     /// Of all joint masses and planes \[J\]: in the world under [`BaseCoupling::Inertial`], relative to
     /// the base under [`BaseCoupling::Gravity`].
     pub kinetic: f64,
-    /// Of all springs \[J\].
+    /// Elastic energy of all springs \[J\].
     pub elastic: f64,
 }
 

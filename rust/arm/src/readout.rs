@@ -6,9 +6,10 @@ use crate::instruction_set::{Supported, compiled_for_each_set};
 /// A static linear readout of the spring lengths (Eq. 18, Eq. 26).
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinearReadout {
-    /// One row a spring.
+    /// Weights of the two outputs \[degrees/m\], a row for every spring, in the order of the
+    /// lengths.
     pub weights: Vec<[f64; 2]>,
-    /// Added to the weighted sum \[degrees\].
+    /// Bias that is added to the weighted sums \[degrees\].
     pub bias: [f64; 2],
 }
 
@@ -32,7 +33,8 @@ impl LinearReadout {
         Ok(Self { weights: weights.to_vec(), bias })
     }
 
-    /// `weightsᵀ lengths + bias` \[degrees\].
+    /// The outputs θ, φ: `weightsᵀ lengths + bias` \[degrees\]. Lengths \[m\] beyond the weights
+    /// are not read.
     #[must_use]
     pub fn output(&self, lengths: &[f64]) -> [f64; 2] {
         output(Supported::detected(), self, lengths)

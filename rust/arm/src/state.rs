@@ -16,15 +16,15 @@ pub type MuscleRow = [f64; 8];
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmState {
-    /// `[h, α, β, r1..r4]` of every compartment \[m, rad, rad, m…\].
+    /// Coordinates `[h, α, β, r1..r4]` of every compartment, base first \[m, rad, rad, m\].
     pub coordinates: Vec<[f64; COORDINATES]>,
-    /// Time derivatives of the coordinates \[m/s, rad/s\].
+    /// Time derivatives of the coordinates \[m/s, rad/s, rad/s, m/s\].
     pub rates: Vec<[f64; COORDINATES]>,
-    /// Base `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
+    /// Motion of the base, `[θ, φ, θ̇, φ̇]` \[rad, rad/s\].
     pub base: [f64; 4],
-    /// Physics steps since the last reset.
+    /// Number of physics steps since the last reset.
     pub steps: u64,
-    /// Muscle inputs of every compartment \[N\]; empty when none act.
+    /// Muscle inputs of every compartment \[N\], base first; empty when none act.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub muscles: Vec<MuscleRow>,
 }

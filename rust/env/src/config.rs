@@ -12,25 +12,27 @@ use crate::reward::Reward;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EpisodeConfig {
-    /// The limit cycle to follow.
+    /// Limit cycle to follow; by default the quadratic one of the paper.
     pub target: Target,
-    /// Largest |angle| of the target \[degrees\]. Without one, the paper's for a named target (its
-    /// R: 90, 130 and 10 for the quadratic, Van der Pol and Lissajous cycles, Figures 6 to 8) and the
-    /// samples' own for samples; with one, samples are scaled to it.
+    /// Largest |angle| of the target \[degrees\], in (0, 360\]. By default the paper's for a named
+    /// target (its R: 90, 130 and 10 for the quadratic, Van der Pol and Lissajous cycles, Figures 6
+    /// to 8) and the samples' own for samples; with a number, samples are scaled to it.
     pub amplitude: Option<f64>,
-    /// Time from one action to the next \[s\], a multiple of the arm's `timestep`.
+    /// Time from one action to the next \[s\], a multiple of the arm's `timestep`, at most 10 and
+    /// at most 10,000 of these; by default 0.01.
     pub control_period: f64,
-    /// What drives the base.
+    /// Drive of the base; by default [`Actuator::Direct`].
     pub actuator: Actuator,
-    /// The body.
+    /// Body; by default [`ArmParameters::nakajima2013`].
     pub arm: ArmParameters,
-    /// Base angle of an action of 1 \[degrees\]; without one, 1.3 times the amplitude.
+    /// Base angle of an action of 1 \[degrees\], in (0, 360\]; by default 1.3 times the amplitude.
     pub action_range: Option<f64>,
-    /// Reward of an exactly tracked step.
+    /// Reward of an exactly tracked step, in (0, 1e6\]; by default 1.
     pub tracking_weight: f64,
-    /// Tracking error at which the tracking reward has fallen to 1/e, as a fraction of the amplitude.
+    /// Tracking error at which the tracking reward has fallen to 1/e, as a fraction of the
+    /// amplitude, in (0, 1e3\]; by default 0.3.
     pub reward_width: f64,
-    /// Cost of a unit of squared action change.
+    /// Cost of a unit of squared action change, in \[0, 1e6\]; by default 0.01.
     pub action_change_weight: f64,
 }
 

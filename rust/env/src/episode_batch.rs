@@ -30,18 +30,18 @@ pub enum Autoreset {
 /// The end of an episode whose place was taken by the next one within the same step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Last {
-    /// The last spring lengths \[m\].
+    /// Last spring lengths \[m\].
     pub observation: Vec<f64>,
-    /// What the last step brought.
+    /// Outcome of the last step.
     pub outcome: Outcome,
 }
 
 /// What a step of all episodes brought.
 #[derive(Clone, Debug)]
 pub struct BatchStep {
-    /// Spring lengths \[m\], [`EpisodeBatch::observation_len`] an episode.
+    /// Spring lengths \[m\], [`EpisodeBatch::observation_len`] for each episode.
     pub observations: Vec<f64>,
-    /// What the observations belong to, an entry an episode.
+    /// Outcome that each episode's observation belongs to.
     pub outcomes: Vec<Outcome>,
     /// The ends of episodes that were replaced, with [`Autoreset::SameStep`]; an entry an episode.
     pub lasts: Vec<Option<Last>>,
@@ -60,7 +60,7 @@ impl BatchStep {
 pub struct BatchReset {
     /// Spring lengths \[m\] of all episodes, reset or not.
     pub observations: Vec<f64>,
-    /// Of those that were reset.
+    /// Outcome of each episode that was reset.
     pub outcomes: Vec<Option<Outcome>>,
 }
 

@@ -2,7 +2,30 @@
 //! reward, the seeded reset onto the orbit, and the end; and many of them at once, in lanes and
 //! threads. No Python, no sockets.
 //!
-//! [`Episode`] is the way in, [`EpisodeBatch`] that of many, [`ArmBatch`] many arms without episodes.
+//! ```
+//! use octoarm_env::{Autoreset, Episode, EpisodeBatch, EpisodeConfig, Target, TargetName};
+//!
+//! // One arm that follows the Lissajous figure of the paper, as its teacher commands.
+//! let target = Target::Named(TargetName::Lissajous);
+//! let config = EpisodeConfig { target, ..EpisodeConfig::default() }.checked()?;
+//! let mut episode = Episode::with_limit(config.clone(), Some(500))?;
+//! episode.seed(0);
+//! episode.reset();
+//! let outcome = episode.step(episode.teacher_action())?;
+//! assert!(outcome.reward > 0.9 && !outcome.terminated());
+//! assert_eq!(episode.arm().lengths().len(), 80);
+//!
+//! // Twelve of them in lanes, on two threads.
+//! let mut batch = EpisodeBatch::new(&vec![config; 12], Some(500), Autoreset::NextStep, Some(2))?;
+//! let seeds: Vec<Option<u64>> = (0..12).map(Some).collect();
+//! batch.reset(None, &seeds, None)?;
+//! let step = batch.step(&batch.teacher_actions())?;
+//! assert_eq!(step.observations[..80], episode.arm().lengths());
+//! assert_eq!(step.outcomes[0], outcome);
+//! # Ok::<(), octoarm_arm::ParameterError>(())
+//! ```
+//!
+//! [`ArmBatch`] is many arms without episodes.
 
 mod arm_batch;
 mod config;

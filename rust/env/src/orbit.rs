@@ -26,16 +26,16 @@ const MOST_SAMPLES: usize = 1_000_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TargetName {
-    /// Eq. 28.
+    /// The quadratic limit cycle, Eq. 28.
     Quadratic,
-    /// Eq. 27.
+    /// The Van der Pol oscillator, Eq. 27.
     VanDerPol,
     /// Eq. 29 with f1 = 2, f2 = 1.
     Lissajous,
 }
 
 impl TargetName {
-    /// The paper's R, Figures 6 to 8 \[degrees\].
+    /// The paper's amplitude R \[degrees\], Figures 6 to 8.
     #[must_use]
     pub fn amplitude(self) -> f64 {
         match self {
@@ -249,7 +249,7 @@ impl Orbit {
         self.amplitude
     }
 
-    /// The table over one period, degrees.
+    /// One period at equal intervals \[degrees\].
     #[must_use]
     pub fn table(&self) -> &[[f64; 2]] {
         &self.table

@@ -8,19 +8,19 @@ use crate::reward::RewardTerms;
 /// What a step or a reset brought, beside the spring lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// The reward of the step; 0 of a reset.
+    /// Reward of the step, the sum of the terms; 0 of a reset.
     pub reward: f64,
-    /// The terms of the reward as the body stands.
+    /// Terms of the reward as the body stands.
     pub terms: RewardTerms,
     /// Base angles θ, φ \[degrees\].
     pub base: [f64; 2],
     /// The target at this instant \[degrees\].
     pub target: [f64; 2],
-    /// Distance between the two \[degrees\].
+    /// Distance between base and target \[degrees\].
     pub tracking_error: f64,
-    /// Why the episode ended, if the arm left its domain.
+    /// Reason for which the episode ended, if the arm left its domain.
     pub failure: Option<DomainError>,
-    /// Whether the episode's time is over.
+    /// Whether the episode ended because its time is over.
     pub truncated: bool,
 }
 
@@ -40,9 +40,9 @@ pub enum Reading {
 /// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.
 #[derive(Clone, Copy, Debug)]
 pub struct Word {
-    /// The word.
+    /// Key in Python's `info`, and name of the observation on a server.
     pub name: &'static str,
-    /// What it stands for.
+    /// Part of the outcome that the word stands for.
     pub reading: Reading,
     /// The smallest and the largest value, where there are any, of an episode of these settings whose
     /// target has the given amplitude \[degrees\].

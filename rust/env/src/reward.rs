@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 /// Weights of the reward, in degrees where angles are meant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reward {
-    /// Reward of an exactly tracked step.
+    /// Reward of an exactly tracked step, above 0.
     pub tracking_weight: f64,
-    /// Tracking error at which it has fallen to 1/e \[degrees\].
+    /// Tracking error at which it has fallen to 1/e \[degrees\], above 0.
     pub width: f64,
-    /// Cost of a unit of squared action change.
+    /// Cost of a unit of squared action change, at least 0.
     pub action_change_weight: f64,
 }
 

@@ -25,22 +25,22 @@ const KEPT: usize = 8;
 /// Where an episode may begin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
-    /// The arm, on the orbit and in phase.
+    /// State of the arm, on the orbit and in phase.
     pub arm: ArmState,
-    /// The clock's undisturbed base `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
+    /// Base of the undisturbed clock, `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
     pub clock: [f64; 4],
-    /// The command that led here \[degrees\].
+    /// Command that led here \[degrees\].
     pub command: [f64; 2],
 }
 
 /// An arm kept on its orbit by the teacher, with a snapshot at every control instant.
 #[derive(Clone, Debug)]
 pub struct Swing {
-    /// The orbit.
+    /// Orbit that is followed.
     pub orbit: Arc<Orbit>,
-    /// The teacher.
+    /// Clock that forces the arm along it.
     pub clock: TeacherClock,
-    /// State at instants 0, 1, 2, … of the clock.
+    /// State at instants 0, 1, 2, … of the clock, a control period apart.
     pub snapshots: Vec<Snapshot>,
     /// An arm of this body at rest, to be cloned.
     pub arm: Arm,

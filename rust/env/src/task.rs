@@ -27,23 +27,23 @@ pub(crate) enum Stage {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeState {
-    /// The arm.
+    /// State of the arm.
     pub arm: ArmState,
-    /// Control instant on the target's clock.
+    /// Number of the control instant on the target's clock.
     pub tick: i64,
-    /// The clock's undisturbed base `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
+    /// Base of the undisturbed clock, `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
     pub clock: [f64; 4],
-    /// The action before.
+    /// Action of the last step, each entry in \[−1, 1\].
     pub action: [f64; 2],
     /// Whether the episode runs: it was reset and is not over.
     pub running: bool,
     /// Whether the arm has left its domain, or the time is over.
     #[serde(default)]
     pub over: bool,
-    /// Steps since the reset.
+    /// Number of steps since the reset.
     #[serde(default)]
     pub elapsed: u64,
-    /// The generator of the next resets.
+    /// Generator that draws the phases of the next resets.
     pub generator: Pcg64,
 }
 

@@ -15,9 +15,9 @@ const MICROSECONDS_A_STEP: f64 = 10.0;
 /// The episodes of a world.
 #[derive(Debug)]
 pub(crate) enum Episodes {
-    /// Those of one arm.
+    /// Episodes of one arm.
     Single(Box<Episode>),
-    /// Those of many arms, which begin new episodes by themselves.
+    /// Episodes of many arms, which begin new ones by themselves.
     Batch(EpisodeBatch),
 }
 

@@ -1,9 +1,40 @@
 //! The octopus arm as a service: the environments of `octoarm-env` over gRPC, in the protocol
 //! [dm_env_rpc](https://github.com/google-deepmind/dm_env_rpc), version 1. No Python in the process.
 //!
-//! [`Options`] and [`Settings`] say where and for whom, [`Server`] serves. A *world* is an arm with its episodes, or a
-//! batch of them; a client makes worlds, joins one a stream, and steps it. What an episode is, is not
-//! decided here.
+//! ```
+//! use clap::Parser as _;
+//! use octoarm_server::protocol::environment_client::EnvironmentClient;
+//! use octoarm_server::protocol::environment_request::Payload as Request;
+//! use octoarm_server::protocol::environment_response::Payload as Response;
+//! use octoarm_server::protocol::{CreateWorldRequest, EnvironmentRequest};
+//! use octoarm_server::{Options, Server};
+//!
+//! # #[tokio::main]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // A server on a free port of this machine, until it is told to stop.
+//! let settings = Options::try_parse_from(["octoarm-server", "--port", "0"])?.settle()?;
+//! let server = Server::bind(settings).await?;
+//! let address = format!("http://{}", server.address()?);
+//! let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+//! let serving = tokio::spawn(server.serve(async { stopped.await.unwrap_or_default() }));
+//!
+//! // A client makes a world; it would join it then, and send actions.
+//! let create = Request::CreateWorld(CreateWorldRequest::default());
+//! let requests = tokio_stream::once(EnvironmentRequest { payload: Some(create) });
+//! let mut client = EnvironmentClient::connect(address).await?;
+//! let mut answers = client.process(requests).await?.into_inner();
+//! let answer = answers.message().await?.and_then(|answer| answer.payload);
+//! assert!(matches!(answer, Some(Response::CreateWorld(world)) if world.world_name.len() == 32));
+//!
+//! let _ = stop.send(());
+//! serving.await??;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [`Options`] and [`Settings`] say where and for whom, [`Server`] serves. A *world* is an arm with
+//! its episodes, or a batch of them; a client makes worlds, joins one a stream as its *agent*, and
+//! steps it. What an episode is, is not decided here.
 
 mod auth;
 mod environment;

@@ -95,7 +95,7 @@ impl Collector for Process {
 }
 
 impl Metrics {
-    /// All at zero.
+    /// Metrics that are all at zero.
     pub(crate) fn new() -> Arc<Self> {
         let mut registry = Registry::default();
         registry.register_collector(Box::new(Process));

@@ -39,9 +39,9 @@ pub enum ServeError {
     /// An address cannot be listened on.
     #[error("cannot listen on {address}: {error}")]
     Listen {
-        /// The address.
+        /// Address that was asked for.
         address: SocketAddr,
-        /// Why.
+        /// Error of the system.
         error: io::Error,
     },
     /// The certificate, its key, or the transport.

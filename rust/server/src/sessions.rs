@@ -56,7 +56,7 @@ pub(crate) struct Sessions {
 }
 
 impl Sessions {
-    /// No streams yet.
+    /// A list without streams.
     pub(crate) fn new(
         limits: Limits,
         metrics: Arc<Metrics>,

@@ -11,10 +11,10 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum LogFormat {
-    /// For eyes.
+    /// One line of text for each event.
     #[default]
     Text,
-    /// An object a line, for programs.
+    /// One JSON object for each event.
     Json,
 }
 
@@ -24,7 +24,7 @@ pub enum SettingsError {
     /// The file cannot be read.
     #[error("--config {path}: {reason}")]
     File {
-        /// The file.
+        /// Path of the file.
         path: String,
         /// What is wrong with it.
         reason: String,
@@ -116,12 +116,12 @@ pub struct Settings {
     pub(crate) token: Option<Token>,
     pub(crate) limits: Limits,
     pub(crate) shutdown_timeout: Duration,
-    /// Threads that serve.
+    /// Number of threads that serve.
     pub server_threads: usize,
     pub(crate) metrics: Option<SocketAddr>,
-    /// How log lines look.
+    /// Form of the log lines.
     pub log_format: LogFormat,
-    /// What is logged, a filter of `tracing`.
+    /// Filter of what is logged, as `tracing` reads it.
     pub log_level: String,
 }
 

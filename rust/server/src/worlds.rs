@@ -17,7 +17,7 @@ use crate::world_settings::NextReset;
 pub(crate) struct Reservation {
     worlds: Arc<Worlds>,
     connection: u64,
-    /// Arms, by their size.
+    /// Number of arms, weighed by their size.
     arms: usize,
 }
 
@@ -94,7 +94,7 @@ fn unknown(name: &str) -> Refusal {
 }
 
 impl Worlds {
-    /// None yet.
+    /// A list without worlds.
     pub(crate) fn new(limits: Limits, metrics: Arc<Metrics>) -> Arc<Self> {
         Arc::new(Self { list: Mutex::default(), taken: Mutex::default(), limits, metrics })
     }
