@@ -1,5 +1,6 @@
 //! What the server is told: on the command line, in the environment, in a file.
 
+use std::fmt::Display;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -123,40 +124,51 @@ fn read_file(option: &str, path: &Path) -> Result<String, SettingsError> {
         .map_err(|error| SettingsError::Value(format!("{option} {}: {error}", path.display())))
 }
 
-fn positive<T: PartialOrd + Default + std::fmt::Display>(
+fn outside(name: &str, value: impl Display, range: &str) -> SettingsError {
+    SettingsError::Value(format!("{name} = {value} is outside the allowed range {range}"))
+}
+
+fn positive<T: PartialOrd + Default + Display>(
     name: &str,
     value: Option<T>,
     default: T,
 ) -> Result<T, SettingsError> {
+    match value.unwrap_or(default) {
+        value if value > T::default() => Ok(value),
+        value => Err(SettingsError::Value(format!("{name} = {value}: expected a positive number"))),
+    }
+}
+
+/// A time in seconds from `low` to `high`.
+fn within(
+    name: &str,
+    value: Option<f64>,
+    default: Duration,
+    (low, high): (f64, f64),
+) -> Result<Duration, SettingsError> {
     match value {
         None => Ok(default),
-        Some(value) if value > T::default() => Ok(value),
-        Some(value) => {
-            Err(SettingsError::Value(format!("{name} = {value}: expected a positive number")))
-        }
+        Some(value) if (low..=high).contains(&value) => Ok(Duration::from_secs_f64(value)),
+        Some(value) => Err(outside(name, value, &format!("[{low}, {high}] s"))),
     }
 }
 
 fn seconds(name: &str, value: Option<f64>, default: Duration) -> Result<Duration, SettingsError> {
-    match value {
-        None => Ok(default),
-        Some(value) if (SHORTEST..=LONGEST).contains(&value) => Ok(Duration::from_secs_f64(value)),
-        Some(value) => Err(SettingsError::Value(format!(
-            "{name} = {value} is outside the allowed range [{SHORTEST}, {LONGEST}] s"
-        ))),
-    }
+    within(name, value, default, (SHORTEST, LONGEST))
+}
+
+fn moment(name: &str, value: Option<f64>, default: Duration) -> Result<Duration, SettingsError> {
+    within(name, value, default, (0.0, LONGEST_BUSY))
 }
 
 /// Most threads of any kind.
 const MOST_THREADS: usize = 1024;
 
-fn threads(name: &str, value: Option<usize>) -> Result<usize, SettingsError> {
+fn threads(name: &str, value: Option<usize>, default: usize) -> Result<usize, SettingsError> {
     match value {
-        None => Ok(cores().min(MOST_THREADS)),
+        None => Ok(default.min(MOST_THREADS)),
         Some(value) if (1..=MOST_THREADS).contains(&value) => Ok(value),
-        Some(value) => Err(SettingsError::Value(format!(
-            "{name} = {value} is outside the allowed range [1, {MOST_THREADS}]"
-        ))),
+        Some(value) => Err(outside(name, value, &format!("[1, {MOST_THREADS}]"))),
     }
 }
 
@@ -197,65 +209,27 @@ impl Options {
             None => self,
         };
         let standard = Limits::default();
+        macro_rules! checked {
+            ($check:ident $field:ident) => {
+                $check(stringify!($field), options.$field, standard.$field)?
+            };
+        }
         let limits = Limits {
-            max_worlds: positive("max_worlds", options.max_worlds, standard.max_worlds)?,
-            max_worlds_per_connection: positive(
-                "max_worlds_per_connection",
-                options.max_worlds_per_connection,
-                standard.max_worlds_per_connection,
-            )?,
-            max_num_envs: positive("max_num_envs", options.max_num_envs, standard.max_num_envs)?,
-            max_arms: positive("max_arms", options.max_arms, standard.max_arms)?,
-            max_compartments: positive(
-                "max_compartments",
-                options.max_compartments,
-                standard.max_compartments,
-            )?,
-            max_physics_steps: positive(
-                "max_physics_steps",
-                options.max_physics_steps,
-                standard.max_physics_steps,
-            )?,
-            max_threads: threads("max_threads", options.max_threads)?,
-            max_message_size: positive(
-                "max_message_size",
-                options.max_message_size,
-                standard.max_message_size,
-            )?,
-            max_connections: positive(
-                "max_connections",
-                options.max_connections,
-                standard.max_connections,
-            )?,
-            max_streams_per_connection: positive(
-                "max_streams_per_connection",
-                options.max_streams_per_connection,
-                standard.max_streams_per_connection,
-            )?,
-            idle_timeout: seconds("idle_timeout", options.idle_timeout, standard.idle_timeout)?,
-            keepalive_interval: seconds(
-                "keepalive_interval",
-                options.keepalive_interval,
-                standard.keepalive_interval,
-            )?,
-            keepalive_timeout: seconds(
-                "keepalive_timeout",
-                options.keepalive_timeout,
-                standard.keepalive_timeout,
-            )?,
-            busy_poll: match options.busy_poll {
-                None => standard.busy_poll,
-                Some(value) if (0.0..=LONGEST_BUSY).contains(&value) => {
-                    Duration::from_secs_f64(value)
-                }
-                Some(value) => {
-                    return Err(SettingsError::Value(format!(
-                        "busy_poll = {value} is outside the allowed range [0, {LONGEST_BUSY}] s"
-                    )));
-                }
-            },
+            max_worlds: checked!(positive max_worlds),
+            max_worlds_per_connection: checked!(positive max_worlds_per_connection),
+            max_num_envs: checked!(positive max_num_envs),
+            max_arms: checked!(positive max_arms),
+            max_compartments: checked!(positive max_compartments),
+            max_physics_steps: checked!(positive max_physics_steps),
+            max_threads: checked!(threads max_threads),
+            max_message_size: checked!(positive max_message_size),
+            max_connections: checked!(positive max_connections),
+            max_streams_per_connection: checked!(positive max_streams_per_connection),
+            idle_timeout: checked!(seconds idle_timeout),
+            keepalive_interval: checked!(seconds keepalive_interval),
+            keepalive_timeout: checked!(seconds keepalive_timeout),
+            busy_poll: checked!(moment busy_poll),
         };
-
         let tls = match (&options.tls_certificate, &options.tls_key) {
             (None, None) => None,
             (Some(certificate), Some(key)) => Some(TlsIdentity {
@@ -301,7 +275,7 @@ impl Options {
                 options.shutdown_timeout,
                 Duration::from_secs(10),
             )?,
-            server_threads: threads("server_threads", options.server_threads)?,
+            server_threads: threads("server_threads", options.server_threads, cores())?,
             metrics: options.metrics_port.map(|port| SocketAddr::new(metrics_host, port)),
             log_format: options.log_format.unwrap_or_default(),
             log_level: options.log_level.unwrap_or_else(|| "info".to_owned()),
