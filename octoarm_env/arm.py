@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -89,13 +87,8 @@ def _pair(name: str, inputs: Any) -> tuple[Any, Any]:
     return longitudinal, transverse
 
 
-@contextlib.contextmanager
-def _bounded_angles() -> Iterator[None]:
-    """Whole numbers beyond all doubles are refused like other angles out of range."""
-    try:
-        yield
-    except OverflowError:
-        raise ValueError("theta or phi is beyond the allowed range [-3600, 3600]") from None
+_BEYOND = "theta or phi is beyond the allowed range [-3600, 3600]"
+"""Of whole numbers beyond all doubles."""
 
 
 class Arm:
@@ -168,8 +161,10 @@ class Arm:
             ValueError: an angle that is not finite or beyond ±3600 degrees.
             DomainError: see the class.
         """
-        with _bounded_angles():
+        try:
             return self._core.step(theta, phi)
+        except OverflowError:
+            raise ValueError(_BEYOND) from None
 
     def run(self, angles: ArrayLike) -> Float:
         """Follow a sequence of commands, one a physics step.
@@ -229,8 +224,10 @@ class Arm:
             ValueError: an angle out of range.
             DomainError: the step would leave the domain.
         """
-        with _bounded_angles():
+        try:
             return Linearisation(*self._core.linearise(theta, phi))
+        except OverflowError:
+            raise ValueError(_BEYOND) from None
 
     @property
     def lengths(self) -> Float:
