@@ -14,9 +14,13 @@ use crate::errors::{interruptible, invalid, left_domain};
 /// Steps between two looks at Python's signals, for one arm of one compartment: a tenth of a second.
 const BLOCK: usize = 1 << 17;
 
+/// Fewest steps between two looks: with fewer, fetching the states of many arms into the cache anew for
+/// every block would cost a tenth.
+const FEWEST: usize = 32;
+
 /// Steps between two looks at Python's signals that so many arms make.
 pub(crate) fn block(arms: usize, compartments: usize) -> usize {
-    (BLOCK / (arms * compartments)).max(1)
+    (BLOCK / (arms * compartments)).max(FEWEST)
 }
 
 /// Coordinates, rates, base, step count and muscle inputs of an arm.
