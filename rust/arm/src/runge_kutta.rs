@@ -4,8 +4,8 @@ use crate::base::{BaseMotion, BaseRows};
 use crate::domain::{Bounds, mark_outside};
 use crate::instruction_set::{Supported, compiled_for_each_set};
 use crate::kernel::{
-    BLOCK, BaseFrame, Block, Body, InertiaTravel, Lengths, Material, MotionTravel, Muscles, Rest,
-    Row, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, spring_lengths,
+    BaseFrame, Block, Body, InertiaTravel, Lengths, Material, MotionTravel, Muscles, Rest, Row,
+    STRETCH, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, spring_lengths,
 };
 use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::COORDINATES;
@@ -235,9 +235,9 @@ impl<const L: usize> Integrator<L> {
         let Self { body, coordinates, rates, muscles, workspace, .. } = self;
         let chunks = coordinates.len();
         let mut travel = MotionTravel::from_base(&frame);
-        for first in (0..chunks).step_by(BLOCK) {
-            let block = first..chunks.min(first + BLOCK);
-            outward::<L>(body, &mut travel, coordinates, rates, block, false, workspace);
+        for first in (0..chunks).step_by(STRETCH) {
+            let stretch = first..chunks.min(first + STRETCH);
+            outward::<L>(body, &mut travel, coordinates, rates, stretch, false, workspace);
         }
         inward::<L>(body, coordinates, rates, muscles, workspace);
         let mut travel = InertiaTravel::BASE;
@@ -271,15 +271,15 @@ impl<const L: usize> Integrator<L> {
         let outside = &mut outside.0[0];
         let mut a = Block::ZERO;
         // The accelerations of a stage and the first part of the next both go from base to tip: a
-        // block of chunks at a time, one after the other, so that each fills the waits of the other.
+        // stretch of chunks at a time, one after the other, so that each fills the waits of the other.
         // (And one loop for all stages, so that the code fits the instruction cache.)
         for stage in 0..=4_usize {
             let frame = &frames[stage.div_ceil(2).min(2)];
             let mut before = InertiaTravel::BASE;
             let mut travel = MotionTravel::from_base(frame);
-            for first in (0..chunks).step_by(BLOCK) {
-                let block = first..chunks.min(first + BLOCK);
-                for c in block.clone() {
+            for first in (0..chunks).step_by(STRETCH) {
+                let stretch = first..chunks.min(first + STRETCH);
+                for c in stretch.clone() {
                     if stage == 0 {
                         break;
                     }
@@ -320,7 +320,7 @@ impl<const L: usize> Integrator<L> {
                     let known = stage == 0 && self.trigonometry_known;
                     let (q, u) =
                         if stage == 0 { (&*coordinates, &*rates) } else { (&*stage_q, &*stage_u) };
-                    outward::<L>(body, &mut travel, q, u, block, known, workspace);
+                    outward::<L>(body, &mut travel, q, u, stretch, known, workspace);
                 }
             }
             if stage < 4 {

@@ -28,7 +28,7 @@ pub struct Snapshot {
     /// State of the arm, on the orbit and in phase.
     pub arm: ArmState,
     /// Base of the undisturbed clock, `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
-    pub clock: [f64; 4],
+    pub undisturbed: [f64; 4],
     /// Command that led here \[degrees\].
     pub command: [f64; 2],
 }
@@ -156,7 +156,7 @@ impl Swing {
             if tick + 1 >= 0 {
                 snapshots.push(Snapshot {
                     arm: ArmState { steps: 0, ..arm.state() },
-                    clock: base,
+                    undisturbed: base,
                     command,
                 });
             }

@@ -32,7 +32,8 @@ pub struct EpisodeState {
     /// Number of the control instant on the target's clock.
     pub tick: i64,
     /// Base of the undisturbed clock, `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
-    pub clock: [f64; 4],
+    #[serde(rename = "clock")]
+    pub undisturbed: [f64; 4],
     /// Action of the last step, each entry in \[−1, 1\].
     pub action: [f64; 2],
     /// Whether the episode runs: it was reset and is not over.
@@ -59,7 +60,7 @@ impl EpisodeState {
             let range = format!("[-{LATEST}, {LATEST}]");
             return Err(ParameterError::out_of_range("tick", self.tick, range));
         }
-        for (name, values) in [("clock", self.clock), ("arm.base", self.arm.base)] {
+        for (name, values) in [("clock", self.undisturbed), ("arm.base", self.arm.base)] {
             for (index, value) in values.into_iter().enumerate() {
                 Interval::within(WIDEST).check(value, || format!("{name}[{index}]"))?;
             }
@@ -77,7 +78,7 @@ pub(crate) struct Task {
     action_range: f64,
     physics_steps: u32,
     tick: i64,
-    clock: [f64; 4],
+    undisturbed: [f64; 4],
     action: [f64; 2],
     stage: Stage,
     elapsed: u64,
@@ -109,7 +110,7 @@ impl Task {
             action_range: config.resolved_action_range(amplitude),
             physics_steps: config.physics_steps(),
             tick: 0,
-            clock: [0.0; 4],
+            undisturbed: [0.0; 4],
             action: [0.0; 2],
             stage: Stage::Waiting,
             elapsed: 0,
@@ -175,9 +176,9 @@ impl Task {
 
     /// Begins an episode at a snapshot, into whose state the arm must be put.
     pub(crate) fn begin(&mut self, index: usize) {
-        let Snapshot { clock, command, .. } = self.swing.snapshots[index];
+        let Snapshot { undisturbed, command, .. } = self.swing.snapshots[index];
         self.tick = index as i64;
-        self.clock = clock;
+        self.undisturbed = undisturbed;
         self.action = self.as_action(command);
         self.stage = Stage::Running;
         self.elapsed = 0;
@@ -199,7 +200,7 @@ impl Task {
 
     /// What the clock commands now, as a fraction of the action range.
     pub(crate) fn teacher_action(&self) -> [f64; 2] {
-        self.as_action(self.swing.clock.command(self.tick, self.clock).0)
+        self.as_action(self.swing.clock.command(self.tick, self.undisturbed).0)
     }
 
     /// The action before; after a reset, that of the swing.
@@ -219,7 +220,7 @@ impl Task {
         base: [f64; 2],
         failure: Option<DomainError>,
     ) -> Outcome {
-        self.clock = self.swing.clock.command(self.tick, self.clock).1;
+        self.undisturbed = self.swing.clock.command(self.tick, self.undisturbed).1;
         self.tick += 1;
         let before = std::mem::replace(&mut self.action, action);
         self.elapsed = self.elapsed.saturating_add(1);
@@ -247,7 +248,7 @@ impl Task {
         EpisodeState {
             arm,
             tick: self.tick,
-            clock: self.clock,
+            undisturbed: self.undisturbed,
             action: self.action,
             running: self.stage == Stage::Running,
             over: self.stage == Stage::Over,
@@ -258,7 +259,7 @@ impl Task {
 
     pub(crate) fn set_state(&mut self, state: &EpisodeState) {
         self.tick = state.tick;
-        self.clock = state.clock;
+        self.undisturbed = state.undisturbed;
         self.action = state.action;
         self.stage = match (state.running, state.over) {
             (true, _) => Stage::Running,

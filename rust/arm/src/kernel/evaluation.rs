@@ -30,7 +30,7 @@ impl Link {
 /// Chunks that a pass goes through before the next one follows: several, so that the processor fills
 /// the waits in one chunk's chains of dependent operations with the next chunk's; not all, so that
 /// what a pass hands to the next stays in the nearest cache.
-pub(crate) const BLOCK: usize = 3;
+pub(crate) const STRETCH: usize = 3;
 
 /// Intermediate results of one evaluation, kept from call to call.
 #[derive(Clone, Debug)]
@@ -41,11 +41,11 @@ pub(crate) struct Workspace {
     scratch: Box<Scratch>,
 }
 
-/// What one pass hands to the next within a block or from one chunk to the next; in the same place
+/// What one pass hands to the next within a stretch or from one chunk to the next; in the same place
 /// every time, so that it stays in the nearest cache.
 #[derive(Clone, Debug)]
 struct Scratch {
-    flows: [kinematics::Flow; BLOCK],
+    flows: [kinematics::Flow; STRETCH],
     top: springs::Top,
     /// Of this chunk and of the one further from the base, in turns.
     bottoms: [springs::Bottom; 2],
@@ -71,7 +71,7 @@ impl Workspace {
             links: vec![Link::ZERO; chunks],
             floors: vec![Floor::ZERO; if L < WIDTH { chunks } else { 0 }],
             scratch: Box::new(Scratch {
-                flows: [kinematics::Flow::ZERO; BLOCK],
+                flows: [kinematics::Flow::ZERO; STRETCH],
                 top: springs::Top::ZERO,
                 bottoms: [springs::Bottom::ZERO; 2],
                 gathered: springs::Bottom::ZERO,
@@ -150,8 +150,8 @@ pub(crate) fn spring_lengths<const L: usize>(
     springs::squared_lengths(&coordinates[c], angles, floor, &mut lengths.0);
 }
 
-/// First part of an evaluation, for the chunks `block` (at most [`BLOCK`]): velocities and water,
-/// base to tip. `travel` goes on from block to block.
+/// First part of an evaluation, for the chunks `stretch` (at most [`STRETCH`]): velocities and water,
+/// base to tip. `travel` goes on from stretch to stretch.
 ///
 /// `coordinates` and `rates` hold one block a chunk. Slots beyond the last compartment must hold a
 /// state at rest.
@@ -161,22 +161,22 @@ pub(crate) fn outward<const L: usize>(
     travel: &mut kinematics::Travel<L>,
     coordinates: &[Block],
     rates: &[Block],
-    block: Range<usize>,
+    stretch: Range<usize>,
     trigonometry_known: bool,
     workspace: &mut Workspace,
 ) {
     let Workspace { links, floors, scratch } = workspace;
     let flows = &mut scratch.flows;
-    let first = block.start;
+    let first = stretch.start;
     let chunks = links.len();
-    assert!(block.end <= chunks && block.len() <= BLOCK && body.rest.len() == chunks);
+    assert!(stretch.end <= chunks && stretch.len() <= STRETCH && body.rest.len() == chunks);
     assert!(coordinates.len() == chunks && rates.len() == chunks);
     if !trigonometry_known {
-        for c in block.clone() {
+        for c in stretch.clone() {
             kinematics::angles(&coordinates[c], &mut links[c].angles);
         }
     }
-    for c in block.clone() {
+    for c in stretch.clone() {
         let Link { angles, motion, .. } = &mut links[c];
         kinematics::outward::<L>(
             in_chunk::<L>(body.compartments, c),
@@ -188,7 +188,7 @@ pub(crate) fn outward<const L: usize>(
             &mut flows[c - first],
         );
     }
-    for c in block {
+    for c in stretch {
         water::external(
             &body.material,
             &body.rest[c],

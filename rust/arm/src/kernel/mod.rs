@@ -25,7 +25,7 @@
 //! What bounds the speed is not the number of operations but the waits in chains of dependent ones.
 //! So passes that are one long chain are interleaved with work that is independent of them: the
 //! inward sweep of a chunk with the springs of the next, the accelerations of a Runge–Kutta stage with
-//! the velocities and water of the next stage, a few chunks at a time ([`BLOCK`]). The order of the
+//! the velocities and water of the next stage, a few chunks at a time ([`STRETCH`]). The order of the
 //! passes changes no bits. All that is written and read again is aligned to a cache line.
 //!
 //! # Bits
@@ -44,6 +44,6 @@ mod water;
 
 pub(crate) use articulated::Travel as InertiaTravel;
 pub(crate) use body::{Body, Material, Rest, lane_row};
-pub(crate) use evaluation::{BLOCK, Workspace, accelerations, inward, outward, spring_lengths};
+pub(crate) use evaluation::{STRETCH, Workspace, accelerations, inward, outward, spring_lengths};
 pub(crate) use kinematics::{BaseFrame, Travel as MotionTravel};
 pub(crate) use rows::{Block, Lengths, Muscles, Row, WIDTH, place};
