@@ -11,7 +11,11 @@ from documents import check_links, code_blocks, read_page, run_python
 EXAMPLES = code_blocks("README.md", "python")
 
 
-@pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))
+@pytest.mark.parametrize(
+    "code",
+    [pytest.param(code, marks=pytest.mark.long if ".learn(" in code else ()) for code in EXAMPLES],
+    ids=range(len(EXAMPLES)),
+)
 def test_example_runs_as_printed(code: str, tmp_path: Path) -> None:
     output = run_python(code, tmp_path)
     error = re.search(r"tracking error (\S+)", output)

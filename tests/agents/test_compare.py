@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from octoarm_agents.comparison import AGENTS, Comparison, Protocol, compare, draw_all
-from octoarm_agents.comparison.agents import Cell, make_agent
+from octoarm_agents.comparison.agents import NETWORKS, Cell, make_agent
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
 from octoarm_agents.comparison.measuring import BODIES, NOISES, PUSHES, changed_body, measure_agent
 from octoarm_agents.comparison.readout_map import map_readout
@@ -21,19 +22,26 @@ from octoarm_agents.policies.evaluation import evaluate_policy
 
 from octoarm_env import ArmParameters
 
-SLICE = Comparison(
+WHOLE = Comparison(
     targets=("quadratic",),
     seeds=2,
     budget=0.004,
     protocol=Protocol(episodes=2, steps=120, long_steps=300, after=700),
     readout_map=0,
 )
+SLICE = replace(WHOLE, agents=tuple(agent for agent in AGENTS if agent not in NETWORKS[1:]))
+"""Without the networks that train as PPO does, and take longer."""
+
+
+@pytest.fixture(scope="module", params=[SLICE, pytest.param(WHOLE, marks=pytest.mark.long)])
+def comparison(request: pytest.FixtureRequest) -> Comparison:
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("compare")
-    compare(SLICE, out, progress=False)
+    compare(comparison, out, progress=False)
     return out
 
 
@@ -43,9 +51,9 @@ def result(folder: Path) -> dict[str, Any]:
     return content
 
 
-def test_every_cell_is_there(result: dict[str, Any]) -> None:
+def test_every_cell_is_there(comparison: Comparison, result: dict[str, Any]) -> None:
     rows = {row["agent"]: row for row in result["rows"]}
-    assert tuple(rows) == AGENTS
+    assert tuple(rows) == comparison.agents
     for agent, row in rows.items():
         trained = agent not in ("hold", "clock")
         assert row["target"] == "quadratic"
@@ -80,9 +88,11 @@ def test_known_agents_measure_as_known(result: dict[str, Any]) -> None:
     assert rows["linear_search"]["parameters"] == 162
 
 
-def test_the_same_call_takes_what_is_there(folder: Path, result: dict[str, Any]) -> None:
+def test_the_same_call_takes_what_is_there(
+    comparison: Comparison, folder: Path, result: dict[str, Any]
+) -> None:
     before = {path: path.stat().st_mtime_ns for path in (folder / "runs").rglob("*")}
-    again = compare(SLICE, folder, progress=False)
+    again = compare(comparison, folder, progress=False)
     assert before == {path: path.stat().st_mtime_ns for path in (folder / "runs").rglob("*")}
 
     def timeless(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -91,9 +101,11 @@ def test_the_same_call_takes_what_is_there(folder: Path, result: dict[str, Any])
     assert timeless(again["rows"]) == timeless(result["rows"])
 
 
-def test_shipped_agents_are_the_best_ones(folder: Path, result: dict[str, Any]) -> None:
+def test_shipped_agents_are_the_best_ones(
+    comparison: Comparison, folder: Path, result: dict[str, Any]
+) -> None:
     listed = json.loads((folder / "trained" / "trained.json").read_text(encoding="utf-8"))
-    assert [each["agent"] for each in listed["agents"]] == list(AGENTS[:-2])
+    assert [each["agent"] for each in listed["agents"]] == list(comparison.agents[:-2])
     for entry in listed["agents"]:
         policy = load_policy(folder / "trained" / entry["file"])
         found = evaluate_policy(policy, policy, threads=1, **listed["evaluation"])
@@ -102,9 +114,9 @@ def test_shipped_agents_are_the_best_ones(folder: Path, result: dict[str, Any]) 
         assert entry["return"] in row["return"]["values"]
 
 
-def test_report_and_figures(folder: Path, result: dict[str, Any]) -> None:
+def test_report_and_figures(comparison: Comparison, folder: Path, result: dict[str, Any]) -> None:
     text = write_report(result)
-    for agent in AGENTS:
+    for agent in comparison.agents:
         assert text.count(f"| {agent} |") == 5
     assert "nan" not in text
     assert "None" not in text
@@ -182,6 +194,7 @@ def test_measuring_needs_a_policy() -> None:
 
 
 class TestLinearSearch:
+    @pytest.mark.long
     def test_it_finds_something(self, tmp_path: Path) -> None:
         search = LinearSearch("quadratic", steps=150_000, evaluations=3)
         found = search_linear(search, tmp_path)
@@ -191,7 +204,7 @@ class TestLinearSearch:
         assert policy.parameter_count == 162
 
     def test_the_same_seed_finds_the_same(self, tmp_path: Path) -> None:
-        search = LinearSearch("lissajous", steps=4000, population=4, episodes=2, episode_steps=20)
+        search = LinearSearch("lissajous", steps=1000, population=4, episodes=2, episode_steps=20)
         curves = []
         for run in range(2):
             found = search_linear(search, tmp_path / str(run))

@@ -44,32 +44,36 @@ def returned(output: str) -> str:
     return re.search(r"^return (\S+) of 500$", output, re.M)[1]
 
 
-def test_ppo_learns_and_keeps_what_it_has_learnt(tmp_path: Path) -> None:
-    untrained = ppo.train(ppo.arguments(["--steps=1", "--num-steps=32", "--learning-rate=0"]))
-    assert ppo.evaluate(untrained, "quadratic").mean() < 15.0
-
+@pytest.mark.parametrize(
+    ("steps", "rollouts", "least"),
+    # Measured with 60,000 steps and seeds 0 to 2: 342, 388, 389 of 500; untrained 3.
+    [(2048, 1, 0.0), pytest.param(60_000, 30, 150.0, marks=pytest.mark.long)],
+)
+def test_ppo_learns_and_keeps_what_it_has_learnt(
+    steps: int, rollouts: int, least: float, tmp_path: Path
+) -> None:
     path = tmp_path / "arm.pt"
-    output = run("--steps", 60_000, "--out", path)
-    # Measured with seeds 0 to 2: 342, 388, 389 of 500; untrained 3.
-    assert float(returned(output)) > 150.0
+    output = run("--steps", steps, "--out", path)
+    assert float(returned(output)) > least
 
     assert [file.name for file in tmp_path.iterdir()] == ["arm.pt"]
     content = torch.load(path, weights_only=True)
-    assert content["arguments"]["steps"] == 60_000
+    assert content["arguments"]["steps"] == steps
     assert content["arguments"]["out"] == str(path)
-    assert content["agent"]["observed.count"] == 8 * (1 + 30 * 256)
+    assert content["agent"]["observed.count"] == 8 * (1 + rollouts * 256)
     again = ppo.evaluate(ppo.load(path), "quadratic").mean()
     assert f"{again:.1f}" == returned(output)
 
 
 def test_same_seed_same_output() -> None:
     def figures(seed: int) -> str:
-        output = run("--steps", 4096, "--seed", seed, "--target", "van_der_pol")
+        few = ("--num-envs", 2, "--target", "van_der_pol")
+        output = run("--steps", 1024, "--seed", seed, *few)
         return re.sub(r"[\d,]+ steps/s", "", output)
 
     first = figures(3)
     # Episodes of 100 steps have ended in the 512 of each arm.
-    assert re.search(r"4,096 steps  reward 0\.\d+ a step", first)
+    assert re.search(r"1,024 steps  reward 0\.\d+ a step", first)
     assert figures(3) == first
     assert figures(4) != first
 

@@ -30,7 +30,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "sac": {"learning_starts": 64, "batch_size": 32, "buffer_size": 1000, "gradient_steps": 1},
     "tqc": {"learning_starts": 64, "batch_size": 32, "buffer_size": 1000, "gradient_steps": 1},
 }
-STEPS = {"ppo": 1024, "recurrent_ppo": 1024, "sac": 400, "tqc": 400}
+STEPS = {"ppo": 512, "recurrent_ppo": 512, "sac": 200, "tqc": 200}
 
 
 def small(algorithm: str, **changes: Any) -> Training:
@@ -73,7 +73,14 @@ def train_and_kill(training: Training, out: Path, stop: int) -> None:
     assert done.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+ON_AND_OFF_POLICY = [
+    pytest.param(algorithm, marks=() if algorithm in ("ppo", "sac") else pytest.mark.long)
+    for algorithm in ALGORITHMS
+]
+"""One algorithm of each kind; those that are trained like it take long."""
+
+
+@pytest.mark.parametrize("algorithm", ON_AND_OFF_POLICY)
 def test_killed_and_resumed_as_if_never_killed(algorithm: str, tmp_path: Path) -> None:
     training = small(algorithm)
     whole = train(training, tmp_path / "whole")
@@ -91,7 +98,7 @@ def test_killed_and_resumed_as_if_never_killed(algorithm: str, tmp_path: Path) -
     assert returns(train(training, tmp_path / "killed", resume=True)) == returns(whole)
 
 
-@pytest.mark.parametrize("stop", [0, 200])
+@pytest.mark.parametrize("stop", [0, pytest.param(200, marks=pytest.mark.long)])
 def test_killed_before_the_first_evaluation(stop: int, tmp_path: Path) -> None:
     training = small("ppo")
     train_and_kill(training, tmp_path, stop)
@@ -109,7 +116,7 @@ def steady(algorithm: str, **changes: Any) -> Training:
     )
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ON_AND_OFF_POLICY)
 def test_extended_as_if_it_had_been_longer_from_the_beginning(
     algorithm: str, tmp_path: Path
 ) -> None:
@@ -137,23 +144,23 @@ def test_extended_as_if_it_had_been_longer_from_the_beginning(
 
 
 def test_an_extension_that_is_killed_goes_on(tmp_path: Path) -> None:
-    whole = train(steady("ppo", steps=2048, evaluations=8), tmp_path / "whole")
-    train_and_kill(steady("ppo"), tmp_path / "part", 600)
+    whole = train(steady("ppo", steps=1024, evaluations=8), tmp_path / "whole")
+    train_and_kill(steady("ppo"), tmp_path / "part", 300)
     extended = train(
-        steady("ppo", steps=2048, evaluations=8), tmp_path / "part", resume=True, extend=True
+        steady("ppo", steps=1024, evaluations=8), tmp_path / "part", resume=True, extend=True
     )
     assert returns(extended) == returns(whole)
     assert load_policy(tmp_path / "part" / "final.npz").training["extended"] == [
-        {"from_steps": 1024, "to_steps": 2048, "schedules": []}
+        {"from_steps": 512, "to_steps": 1024, "schedules": []}
     ]
 
 
 def test_what_depends_on_the_length_of_a_training_is_named(tmp_path: Path) -> None:
     train(small("ppo"), tmp_path)
-    with pytest.warns(UserWarning, match=r"learning_rate of ppo falls to zero .* 1,024 .* 2,048"):
-        extended = train(small("ppo", steps=2048), tmp_path, resume=True, extend=True)
+    with pytest.warns(UserWarning, match=r"learning_rate of ppo falls to zero .* 512 .* 1,024"):
+        extended = train(small("ppo", steps=1024), tmp_path, resume=True, extend=True)
     assert extended["extended"][0]["schedules"] == ["learning_rate"]
-    assert extended["final"]["steps"] == 2048
+    assert extended["final"]["steps"] == 1024
 
 
 def test_only_the_length_may_differ(tmp_path: Path) -> None:
@@ -325,14 +332,14 @@ class TestHyperparameters:
 
 
 def test_tuning_tries_and_goes_on(tmp_path: Path) -> None:
-    first = tune_algorithm("ppo", tmp_path, trials=2, steps=600)
-    assert [each["number"] for each in first["trials"]] == [0, 1]
+    first = tune_algorithm("ppo", tmp_path, trials=1, steps=600)
+    assert [each["number"] for each in first["trials"]] == [0]
     # The first trial is the present file.
     present = Hyperparameters.load("ppo").arguments
     assert first["trials"][0]["parameters"]["gamma"] == present["gamma"]
-    second = tune_algorithm("ppo", tmp_path, trials=3, steps=600)
-    assert second["trials"][:2] == first["trials"]
-    assert len(second["trials"]) == 3
+    second = tune_algorithm("ppo", tmp_path, trials=2, steps=600)
+    assert second["trials"][:1] == first["trials"]
+    assert len(second["trials"]) == 2
     complete = [each for each in second["trials"] if not each["pruned"]]
     assert second["best"]["value"] == max(each["value"] for each in complete)
     tuned = Hyperparameters.load("ppo", tmp_path / "ppo.yml")
@@ -405,6 +412,7 @@ class TestCommand:
             assert message in done.output
 
 
+@pytest.mark.long
 def test_killed_at_any_moment(tmp_path: Path) -> None:
     """The first policy appears, and the process dies: what is there can be loaded."""
     training = small("ppo", steps=100_000, evaluations=500)

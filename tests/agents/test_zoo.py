@@ -19,7 +19,11 @@ def test_there_are_commands() -> None:
     assert len(COMMANDS) >= 2
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=range(len(COMMANDS)))
+@pytest.mark.parametrize(
+    "command",
+    [COMMANDS[0], *(pytest.param(command, marks=pytest.mark.long) for command in COMMANDS[1:])],
+    ids=range(len(COMMANDS)),
+)
 def test_command_trains_as_printed(command: str, tmp_path: Path) -> None:
     program, *arguments = shlex.split(command)
     done = subprocess.run(
