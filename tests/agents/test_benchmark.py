@@ -25,7 +25,6 @@ def two_contenders(monkeypatch):
 
 def test_figures_of_one_run(octoarm, tmp_path):
     pytest.importorskip("mujoco")
-    pytest.importorskip("elastica")
     out = tmp_path / "new" / "speed.json"
     run = octoarm(*TINY, "--out", out)
     assert run.exit_code == 0, run.output
@@ -38,7 +37,7 @@ def test_figures_of_one_run(octoarm, tmp_path):
     times = content["microseconds_per_arm_step"]
     batches = {names.batch_name(arms, 1) for arms in names.BATCH_SIZES}
     vectors = {names.vector_name(envs, 1) for envs in names.BATCH_SIZES}
-    peers = {names.TWIN, names.SYNC, names.ASYNC, names.ROD}
+    peers = {names.TWIN, names.SYNC, names.ASYNC}
     elsewhere = {names.elsewhere_name(name) for name in names.other_instruction_sets()}
     assert {names.ARM, names.ARM_DRY, names.ARM_SERVO, names.ARM_STEP} <= set(times)
     assert {names.ENV_BARE, names.ENV_MADE} | batches | vectors | peers | elsewhere <= set(times)
@@ -70,7 +69,6 @@ def test_without_peers_the_rest_is_measured(octoarm):
     assert (
         'MuJoCo not installed, so left out: pip install "octoarm-agents[benchmark]"' in run.stdout
     )
-    assert "PyElastica not installed" in run.stdout
     assert names.ARM_SERVO in run.stdout
     assert "twin /" not in run.stdout
 

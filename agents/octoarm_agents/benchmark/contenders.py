@@ -15,7 +15,6 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
-from octoarm_agents.benchmark.elastica_rod import ElasticaRod, has_elastica
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
 from octoarm_env import (
     LIMIT_CYCLES,
@@ -36,7 +35,6 @@ __all__ = [
     "ASYNC",
     "ENV_BARE",
     "ENV_MADE",
-    "ROD",
     "SYNC",
     "TWIN",
     "Contender",
@@ -76,7 +74,6 @@ ENV_BARE = "OctoArmEnv.step"
 ENV_MADE = 'gym.make("OctoArm-v0").step'
 SYNC = f"gymnasium's SyncVectorEnv of {SYNC_ENVS}"
 ASYNC = f"gymnasium's AsyncVectorEnv of {ASYNC_ENVS}"
-ROD = "PyElastica's rod (its own physics)"
 
 
 def batch_name(arms: int, threads: int, *, dry: bool = False) -> str:
@@ -107,7 +104,7 @@ class Contender:
         prepare: called before every slice, not timed.
         run: make this many steps.
         limit: most steps in a slice without a new `prepare`.
-        arms: arms (or rods) that a step moves.
+        arms: arms that a step moves.
         physics_steps: time steps of each that a step makes.
         timestep: of the physics [s].
         close: called when it is not needed any more.
@@ -140,7 +137,7 @@ def other_instruction_sets() -> list[str]:
 
 
 def make_contenders() -> list[Contender]:
-    """All of them; MuJoCo's twin and PyElastica's rod only where they are installed."""
+    """All of them; MuJoCo's twin only where it is installed."""
     limit = 20_000
     signal = LIMIT_CYCLES["quadratic"].signal(limit, _AMPLITUDE)
     dry = dry_body()
@@ -178,9 +175,6 @@ def make_contenders() -> list[Contender]:
         contenders.append(_vector_environment(name, loop))
     if has_mujoco():
         contenders.append(_twin(dry))
-    if has_elastica():
-        rod = ElasticaRod()
-        contenders.append(Contender(ROD, rod.reset, rod.step, 20_000, timestep=rod.timestep))
     return contenders
 
 

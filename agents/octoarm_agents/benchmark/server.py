@@ -1,8 +1,8 @@
-"""How fast a server of the arm answers, beside servers in Python, and what its clients wait for.
+"""How fast a server of the arm answers, and what its clients wait for.
 
 As in :mod:`octoarm_agents.benchmark.speed`, contenders take turns and ratios are formed within a
-round. ``octoarm-load`` loads every server over loopback, on the same processor. Clients in Python
-step the server in Rust from this process, beside the environment without a server.
+round. ``octoarm-load`` loads the server over loopback, on the same processor. Clients in Python
+step it from this process, beside the environment without a server.
 """
 
 from __future__ import annotations
@@ -10,11 +10,8 @@ from __future__ import annotations
 import gc
 import json
 import math
-import re
 import statistics
 import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -28,14 +25,12 @@ from dm_env_rpc.v1 import connection, tensor_utils
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as protocol
 from numpy.typing import NDArray
 
-from octoarm_agents.benchmark.grpcio_server import ACTION, REWARD, SPRING_LENGTHS, TERMINATED
 from octoarm_agents.benchmark.speed import Ratio, Spread
 from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.serving import ServerProcess, find_program
 from octoarm_env import OctoArmEnv
 
 __all__ = [
-    "ASYNCIO",
     "CONNECTIONS",
     "DEEPMIND",
     "LOCAL",
@@ -45,20 +40,16 @@ __all__ = [
     "RUST",
     "RUST_SLEEPING",
     "TARGET",
-    "THREADS",
     "Load",
     "LoadError",
     "Sample",
     "ServerResult",
     "load_name",
     "measure_server",
-    "python_server",
 ]
 
 RUST = "octoarm-server"
 RUST_SLEEPING = "octoarm-server --busy-poll 0"
-THREADS = "grpcio in Python, threads"
-ASYNCIO = "grpcio in Python, asyncio"
 
 LOCAL = "OctoArmEnv, no server"
 DEEPMIND = "dm_env_rpc's Connection"
@@ -73,7 +64,7 @@ PERCENTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
 TARGET = 150.0
 """Wanted median of what a round trip of a single connection takes beyond the physics [µs]."""
 
-_KEYS = {RUST: "rust", RUST_SLEEPING: "rust_sleeping", THREADS: "threads", ASYNCIO: "asyncio"}
+_KEYS = {RUST: "rust", RUST_SLEEPING: "rust_sleeping"}
 _CLIENT_KEYS = {DEEPMIND: "deepmind", REMOTE: "remote"}
 
 _PATIENCE = 120.0
@@ -85,7 +76,9 @@ _WARM_UP = 20
 _TURN = 25
 """Steps of a client between two looks at the clock, as in octoarm-load."""
 
-_LISTENING = re.compile(r"^listening on http://(?P<address>\S+)$")
+ACTION = 1
+SPRING_LENGTHS, REWARD, TERMINATED = 1, 2, 9
+"""Numbers on the wire."""
 
 Step = Callable[[NDArray[np.float32]], Any]
 
@@ -175,14 +168,6 @@ class ServerResult:
         return [*self._of_servers(), *self._of_clients()]
 
     def _of_servers(self) -> Iterator[Ratio]:
-        for contender in (THREADS, ASYNCIO):
-            for period, connections in _cases():
-                own, other = (load_name(each, connections, period) for each in (RUST, contender))
-                if not {own, other} <= set(self.samples):
-                    continue
-                spread = self._compared(own, other, lambda one, two: one / two, _rate)
-                key = f"rust_over_{_KEYS[contender]}_{connections}_{1000 * period:g}_ms"
-                yield Ratio(key, f"{RUST} / {other}: steps/s", spread)
         for period in PERIODS:
             own, other = (load_name(each, 1, period) for each in (RUST, RUST_SLEEPING))
             if {own, other} <= set(self.samples):
@@ -274,7 +259,7 @@ class ServerResult:
 def measure_server(
     seconds: float = 60.0, rounds: int = 11, advance: Callable[[str, int], Any] | None = None
 ) -> ServerResult:
-    """Load the servers, and step the server in Rust from Python.
+    """Load the server, and step it from Python.
 
     Args:
         seconds: time for all slices together; starting servers and making worlds comes on top.
@@ -284,15 +269,13 @@ def measure_server(
     Raises:
         ServerNotFoundError: a program of the server is not installed.
         LoadError: octoarm-load fails.
-        RuntimeError: a server does not start.
+        RuntimeError: the server does not start.
     """
     program = str(find_program("octoarm-load"))
     with ExitStack() as stack:
         addresses = {
             RUST: stack.enter_context(ServerProcess()).address,
             RUST_SLEEPING: stack.enter_context(ServerProcess("--busy-poll", "0")).address,
-            THREADS: stack.enter_context(python_server()),
-            ASYNCIO: stack.enter_context(python_server("--asyncio")),
         }
         loads = {}
         for contender, address in addresses.items():
@@ -321,52 +304,11 @@ def measure_server(
     return result
 
 
-@contextmanager
-def python_server(*arguments: str) -> Iterator[str]:
-    """Run the server in Python for as long as the ``with`` block; its address, ``host:port``.
-
-    Args:
-        arguments: options of :mod:`octoarm_agents.benchmark.grpcio_server`.
-
-    Raises:
-        RuntimeError: it ended at once; the message holds what it said.
-    """
-    command = [sys.executable, "-m", "octoarm_agents.benchmark.grpcio_server", *arguments]
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as log:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            encoding="utf-8",
-        )
-        assert process.stdout is not None
-        try:
-            found = _LISTENING.match(process.stdout.readline().strip())
-            if found is None:
-                process.wait(_PATIENCE)
-                log.seek(0)
-                raise RuntimeError(f"the server in Python did not start: {log.read().strip()}")
-            yield found["address"]
-        finally:
-            process.terminate()
-            try:
-                process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            process.stdout.close()
-
-
 def _cases() -> list[tuple[float, int]]:
     """Control periods and connections of a server."""
     return [(PERIODS[0], connections) for connections in CONNECTIONS] + [
         (period, 1) for period in PERIODS[1:]
     ]
-
-
-def _rate(sample: Sample) -> float:
-    return sample.steps_per_second
 
 
 def _median(sample: Sample) -> float:

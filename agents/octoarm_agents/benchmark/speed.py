@@ -26,7 +26,6 @@ from octoarm_agents.benchmark.contenders import (
     ENV_BARE,
     ENV_MADE,
     PHYSICS_STEPS,
-    ROD,
     SYNC,
     TWIN,
     Contender,
@@ -191,7 +190,7 @@ class SpeedResult:
             "microseconds_by_round": self.microseconds,
             "machine": describe_machine(),
             "versions": package_versions(
-                "octoarm-env", "octoarm-agents", "numpy", "gymnasium", "mujoco", "pyelastica"
+                "octoarm-env", "octoarm-agents", "numpy", "gymnasium", "mujoco"
             ),
         }
 
@@ -311,4 +310,4 @@ def _resident_bytes() -> int | None:
 
 
 # What the table is for: a peer is left out of it where it is not installed.
-PEERS = {TWIN: "MuJoCo", ROD: "PyElastica"}
+PEERS = {TWIN: "MuJoCo"}

@@ -59,9 +59,8 @@ def benchmark(
     """Time one arm, batches of 1 to 1024, the environments and their peers, in one run.
 
     Peers are the same arm in MuJoCo (RK4, 1 ms; it computes neither water nor volume forces, and is
-    compared with an arm without them), Gymnasium's SyncVectorEnv and AsyncVectorEnv over the single
-    environment, and a rod of PyElastica, which is another physics: only simulated seconds a second
-    may be read off it. The contenders take turns in several rounds; ratios are formed within a
+    compared with an arm without them), and Gymnasium's SyncVectorEnv and AsyncVectorEnv over the
+    single environment. The contenders take turns in several rounds; ratios are formed within a
     round, because absolute times on a shared machine are not steady. Columns are minimum, median
     and maximum over rounds.
 
@@ -70,9 +69,8 @@ def benchmark(
     draws.
 
     With --server: steps a second and round trips of octoarm-server over loopback, with 1, 16 and
-    128 connections, beside two servers of the same environment in Python (grpcio, with threads and
-    with asyncio), and of clients in Python. The load comes from the same machine and takes its part
-    of the processor.
+    128 connections, and of clients in Python. The load comes from the same machine and takes its
+    part of the processor.
     """
     from rich.console import Console
 

@@ -40,7 +40,10 @@ def binary() -> str:
 def kinds() -> dict[int, str]:
     """Kind of every floating-point instruction by its address, and whether it is packed."""
     text = subprocess.run(
-        ["objdump", "-d", "--no-show-raw-insn", binary()], capture_output=True, text=True, check=True
+        ["objdump", "-d", "--no-show-raw-insn", binary()],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     found = {}
     for address, mnemonic in re.findall(r"^\s+([0-9a-f]+):\t(\w+)", text, re.MULTILINE):
