@@ -1,4 +1,4 @@
-"""The README's examples run as printed; its test command is continuous integration's."""
+"""README's and its pages' examples run as printed; its test command is that of `.ci/run`."""
 
 from __future__ import annotations
 
@@ -8,20 +8,31 @@ from pathlib import Path
 import pytest
 from documents import check_links, code_blocks, read_page, run_python
 
-EXAMPLES = code_blocks("README.md", "python")
+PAGES = ["README.md", "docs/environment.md", "docs/agents.md", "docs/reservoir.md"]
+EXAMPLES = {
+    f"{page}-{index}": code
+    for page in PAGES
+    for index, code in enumerate(code_blocks(page, "python"))
+}
 
 
 @pytest.mark.parametrize(
-    "code",
-    [pytest.param(code, marks=pytest.mark.long if ".learn(" in code else ()) for code in EXAMPLES],
-    ids=range(len(EXAMPLES)),
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if ".learn(" in code else ())
+        for name, code in EXAMPLES.items()
+    ],
 )
-def test_example_runs_as_printed(code: str, tmp_path: Path) -> None:
-    output = run_python(code, tmp_path)
+def test_example_runs_as_printed(name: str, tmp_path: Path) -> None:
+    output = run_python(EXAMPLES[name], tmp_path)
     error = re.search(r"tracking error (\S+)", output)
     assert error is None or float(error[1]) < 1e-4
     earned = re.search(r"return (\S+) of 500", output)
     assert earned is None or float(earned[1]) > 490
+
+
+def test_every_page_has_examples() -> None:
+    assert {name.rpartition("-")[0] for name in EXAMPLES} == set(PAGES)
 
 
 def test_two_commands() -> None:
@@ -30,5 +41,6 @@ def test_two_commands() -> None:
     assert everything in read_page(".ci/run")
 
 
-def test_pictures_exist() -> None:
-    check_links("README.md")
+@pytest.mark.parametrize("page", [*PAGES, "docs/architecture.md", "CONTRIBUTING.md"])
+def test_links_lead_somewhere(page: str) -> None:
+    check_links(page)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.bursts import burst_tables, draw_bursts, run_bursts
 from octoarm_agents.experiments.runner import Context, Experiment
 from octoarm_agents.experiments.task2 import TRIALS
@@ -17,4 +16,4 @@ def run(context: Context) -> dict[str, Any]:
     return run_bursts(context, "lissajous")
 
 
-EXPERIMENT = Experiment("figure10", EXPERIMENTS["figure10"], TRIALS, run, draw_bursts, burst_tables)
+EXPERIMENT = Experiment("figure10", TRIALS, run, draw_bursts, burst_tables)

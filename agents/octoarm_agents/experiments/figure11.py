@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.bursts import count_outcomes
 from octoarm_agents.experiments.cycle_settings import BURSTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
@@ -165,4 +164,4 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     save_figure(figure, path)
 
 
-EXPERIMENT = Experiment("figure11", EXPERIMENTS["figure11"], 15, run, draw, tables)
+EXPERIMENT = Experiment("figure11", 15, run, draw, tables)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, TRAININGS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.statistics import format_range
@@ -221,4 +220,4 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     save_figure(figure, path)
 
 
-EXPERIMENT = Experiment("figure12", EXPERIMENTS["figure12"], 1, run, draw, tables)
+EXPERIMENT = Experiment("figure12", 1, run, draw, tables)

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
 from octoarm_agents.experiments.figure12 import by_compartment
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
@@ -278,4 +277,4 @@ def _draw_differences(axes: Any, nudges: Sequence[Mapping[str, Any]], colours: A
     axes.legend(pairs[0][0] + pairs[1][0], pairs[0][1] + pairs[1][1], fontsize=7, frameon=False)
 
 
-EXPERIMENT = Experiment("figure13", EXPERIMENTS["figure13"], 15, run, draw, tables)
+EXPERIMENT = Experiment("figure13", 15, run, draw, tables)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.task1 import (
     RANGE,
@@ -186,4 +185,4 @@ def _explain_colours(figure: Any, panels: list[Any], result: Mapping[str, Any]) 
     bar.ax.tick_params(labelsize=8)
 
 
-EXPERIMENT = Experiment("figure4", EXPERIMENTS["figure4"], 1, run, draw, tables)
+EXPERIMENT = Experiment("figure4", 1, run, draw, tables)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
@@ -272,4 +271,4 @@ def _quartiles(points: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.flo
     return np.array(rows, dtype=np.float64).reshape(-1, 4).T
 
 
-EXPERIMENT = Experiment("figure5a", EXPERIMENTS["figure5a"], TRIALS, run, draw, tables)
+EXPERIMENT = Experiment("figure5a", TRIALS, run, draw, tables)

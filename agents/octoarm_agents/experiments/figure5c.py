@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.compartments import draw_ratios, ratio_table, run_ratios
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.task1 import TRIALS
@@ -44,4 +43,4 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     draw_ratios(result, path, "performance_ratio", "performance ratio", 1.0)
 
 
-EXPERIMENT = Experiment("figure5c", EXPERIMENTS["figure5c"], TRIALS, run, draw, tables)
+EXPERIMENT = Experiment("figure5c", TRIALS, run, draw, tables)

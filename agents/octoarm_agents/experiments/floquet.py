@@ -18,7 +18,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, CYCLES
 from octoarm_agents.experiments.floquet_trials import (
     PHASE_ERROR,
@@ -190,4 +189,4 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     draw_floquet(result, path)
 
 
-EXPERIMENT = Experiment("floquet", EXPERIMENTS["floquet"], 1, run, draw, tables)
+EXPERIMENT = Experiment("floquet", 1, run, draw, tables)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.cycle_settings import (
     BURSTS,
     CYCLES,
@@ -241,4 +240,4 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     draw_limit_cycles(result, path)
 
 
-EXPERIMENT = Experiment("limit-cycles", EXPERIMENTS["limit-cycles"], TRIALS, run, draw, tables)
+EXPERIMENT = Experiment("limit-cycles", TRIALS, run, draw, tables)

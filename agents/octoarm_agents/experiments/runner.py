@@ -125,7 +125,6 @@ class Experiment:
 
     Attributes:
         name: as on the command line; the files are called so too.
-        title: what it shows, in a line.
         trials: how many it makes when nothing else is asked for.
         run: the result, plain numbers for a JSON file, under a context whose `trials` is a number.
         draw: writes the figure of a result to a path.
@@ -133,7 +132,6 @@ class Experiment:
     """
 
     name: str
-    title: str
     trials: int
     run: Callable[[Context], dict[str, Any]]
     draw: Callable[[Mapping[str, Any], Path], None]

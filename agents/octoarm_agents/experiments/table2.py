@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
 from octoarm_agents.experiments.statistics import summarise, welch_p_value
 from octoarm_agents.experiments.task1 import (
@@ -230,4 +229,4 @@ def _draw_bars(axes: Any, entry: Mapping[str, Any], *, labelled: bool) -> None:
     axes.set_ylim(len(bars) - 0.4, -0.6)
 
 
-EXPERIMENT = Experiment("table2", EXPERIMENTS["table2"], TRIALS, run, draw, tables)
+EXPERIMENT = Experiment("table2", TRIALS, run, draw, tables)
