@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
-from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.reservoir import Readout, orbit_distance
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
@@ -34,7 +35,6 @@ from octoarm_agents.reservoir.closed_loop import (
     score_window,
 )
 from octoarm_agents.reservoir.teaching import Teaching, teach
-from octoarm_agents.whole import whole_fields
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 
 __all__ = ["FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]

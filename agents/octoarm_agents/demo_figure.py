@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
-from octoarm_agents.demo import DemoResult
-from octoarm_agents.experiments.figures import (
+from octoarm_agents.common.plotting import (
     BLUE,
     GREEN,
     GREY,
@@ -22,6 +21,7 @@ from octoarm_agents.experiments.figures import (
     new_figure,
     write_letters,
 )
+from octoarm_agents.demo import DemoResult
 
 __all__ = ["draw_demo"]
 

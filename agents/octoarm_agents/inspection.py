@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from octoarm_agents.files import atomic_file
+from octoarm_agents.common.files import atomic_file
 from octoarm_agents.inspection_layout import layout
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.reservoir.orbit import orbit_distance

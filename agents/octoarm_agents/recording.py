@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.files import atomic_file
+from octoarm_agents.common.files import atomic_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable

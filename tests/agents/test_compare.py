@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from octoarm_agents.common.intervals import bootstrap_interval, interquartile_mean
 from octoarm_agents.comparison import AGENTS, Comparison, Protocol, compare, draw_all
 from octoarm_agents.comparison.agents import NETWORKS, Cell, make_agent
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
@@ -16,7 +17,6 @@ from octoarm_agents.comparison.measuring import BODIES, NOISES, PUSHES, changed_
 from octoarm_agents.comparison.readout_map import map_readout
 from octoarm_agents.comparison.report import write_report
 from octoarm_agents.comparison.study import summary
-from octoarm_agents.experiments.statistics import bootstrap_interval, interquartile_mean
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import evaluate_policy
 

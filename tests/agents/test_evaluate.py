@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from octoarm_agents.environment import TARGETS
+from octoarm_agents.common.environment import TARGETS
 from octoarm_agents.policies import trained_agents
 from octoarm_agents.policies.evaluation import TRIVIAL
 

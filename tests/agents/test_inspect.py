@@ -14,7 +14,7 @@ import typer
 from octoarm_agents import inspection
 from octoarm_agents.cli import inspect as command
 from octoarm_agents.cli.actors import find_actor
-from octoarm_agents.environment import make_vector_env
+from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import acting
 from octoarm_agents.policies.rollout import Noise, Push, roll_out

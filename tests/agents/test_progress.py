@@ -11,8 +11,8 @@ from typing import Any
 
 import octoarm_agents
 import pytest
-from octoarm_agents import progress
-from octoarm_agents.progress import progress_bar, stage_bar
+from octoarm_agents.common import progress
+from octoarm_agents.common.progress import progress_bar, stage_bar
 
 
 class Log(io.StringIO):

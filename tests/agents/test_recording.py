@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from octoarm_agents.reservoir.recording import LANES, record_arms
+from octoarm_agents.common.lanes import LANES, record_arms
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 

@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from octoarm_agents.common.intervals import bootstrap_interval, summarise, welch_p_value
+from octoarm_agents.common.trials import run_trials
 from octoarm_agents.experiments import EXPERIMENTS, figure5a
 from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
-from octoarm_agents.experiments.statistics import bootstrap_interval, summarise, welch_p_value
 from octoarm_agents.experiments.task1 import (
     PAPER,
     RANGE,
@@ -24,7 +25,6 @@ from octoarm_agents.experiments.task1_trials import (
     record_trials,
     score_arm,
 )
-from octoarm_agents.experiments.trials import run_trials
 from octoarm_agents.reservoir.baselines import linear
 from octoarm_agents.reservoir.readout import Readout
 from PIL import Image

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
-from octoarm_agents.environment import inspect_env, make_vector_env
+from octoarm_agents.common.environment import inspect_env, make_vector_env
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.measures import (
     orbit_measures,

@@ -9,8 +9,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from octoarm_agents.common.environment import TARGETS
 from octoarm_agents.comparison.agents import READOUTS
-from octoarm_agents.environment import TARGETS
 from octoarm_agents.policies import load_policy, load_trained, trained_agents
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.loading import TRAINED_FOLDER

@@ -12,6 +12,7 @@ import pytest
 from octoarm_agents.analysis.lyapunov import largest_lyapunov_exponent
 from octoarm_agents.analysis.survey import SurveySettings
 from octoarm_agents.calibration.score import initial_steps
+from octoarm_agents.common.whole import whole_fields, whole_number
 from octoarm_agents.comparison import Comparison, Protocol
 from octoarm_agents.comparison.agents import Cell
 from octoarm_agents.comparison.linear_search import LinearSearch
@@ -26,7 +27,6 @@ from octoarm_agents.reservoir.closed_loop import ClosedLoop
 from octoarm_agents.reservoir.inputs import smooth_noise
 from octoarm_agents.reservoir.teaching import Teaching
 from octoarm_agents.rl import Training
-from octoarm_agents.whole import whole_fields, whole_number
 
 from octoarm_env import Arm
 

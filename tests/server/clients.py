@@ -19,7 +19,7 @@ import numpy as np
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
 from dm_env_rpc.v1.extensions import properties_pb2
 from google.protobuf import any_pb2
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 from octoarm_env import OctoArmEnv
 

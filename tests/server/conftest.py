@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from clients import Bystander, Proxy, nothing_left
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 PROXY_VARIABLES = [
     name

@@ -33,7 +33,7 @@ from clients import (
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
 from dm_env_rpc.v1.extensions import properties_pb2
-from octoarm_agents.serving import ServerProcess, find_program
+from octoarm_agents.common.serving import ServerProcess, find_program
 
 Code = grpc.StatusCode
 INVALID_ARGUMENT, RESOURCE_EXHAUSTED = 3, 8

@@ -25,7 +25,7 @@ from dm_env_rpc.v1 import (
     tensor_utils,
 )
 from dm_env_rpc.v1.extensions import properties
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 import octoarm_env
 

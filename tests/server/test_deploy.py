@@ -10,7 +10,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from octoarm_agents.serving import ServerProcess, find_program
+from octoarm_agents.common.serving import ServerProcess, find_program
 
 from octoarm_env.remote import RemoteOctoArm
 

@@ -14,7 +14,7 @@ import pytest
 from clients import fetch, open_channel
 from dm_env_rpc.v1 import connection, dm_env_rpc_pb2, tensor_utils
 from dm_env_rpc.v1.extensions import properties
-from octoarm_agents.serving import ServerProcess, find_program
+from octoarm_agents.common.serving import ServerProcess, find_program
 
 from octoarm_env.remote import RemoteOctoArm
 

@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from clients import assert_same, nothing_left, wait_until
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 import octoarm_env.remote
 from octoarm_env import OctoArmEnv

@@ -45,7 +45,7 @@ from dm_env_rpc.v1.extensions import properties_pb2
 from google.protobuf import any_pb2, message_factory
 from google.protobuf.descriptor import FieldDescriptor
 from hypothesis import strategies as st
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 Code = grpc.StatusCode
 INVALID_ARGUMENT, NOT_FOUND, FAILED_PRECONDITION, INTERNAL = 3, 5, 9, 13

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from clients import Proxy
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 from octoarm_env import OctoArmEnv
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from clients import Proxy
 from octoarm_agents.benchmark.server import _deepmind
-from octoarm_agents.serving import ServerProcess, find_program
+from octoarm_agents.common.serving import ServerProcess, find_program
 
 from octoarm_env import OctoArmEnv
 from octoarm_env.remote import RemoteOctoArm

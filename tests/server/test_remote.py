@@ -17,7 +17,7 @@ import pytest
 from clients import assert_same
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 import octoarm_env
 from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy

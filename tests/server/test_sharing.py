@@ -17,7 +17,7 @@ from clients import (
     wait_for_levels,
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 from octoarm_env import OctoArmEnv
 

@@ -22,7 +22,7 @@ from clients import (
     wait_until,
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
-from octoarm_agents.serving import ServerProcess
+from octoarm_agents.common.serving import ServerProcess
 
 Code = grpc.StatusCode
 RUNNING, INTERRUPTED = 1, 3

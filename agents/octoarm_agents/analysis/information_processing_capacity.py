@@ -24,7 +24,7 @@ from octoarm_agents.analysis.polynomials import (
     orthonormal_polynomials,
 )
 from octoarm_agents.analysis.states import Recording
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["InformationProcessingCapacity", "count_targets", "information_processing_capacity"]
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["LyapunovExponent", "largest_lyapunov_exponent"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import StateBasis
 from octoarm_agents.analysis.states import Recording
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["MemoryCapacity", "delayed_inputs", "memory_capacity"]
 

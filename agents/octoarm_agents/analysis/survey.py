@@ -14,7 +14,7 @@ from octoarm_agents.analysis.echo_state import EchoState, fit_decay
 from octoarm_agents.analysis.lyapunov import LyapunovExponent, largest_lyapunov_exponent
 from octoarm_agents.analysis.measures import Advance, Measures, MeasureSettings, measure
 from octoarm_agents.analysis.rank import SeparationRanks, separation_ranks
-from octoarm_agents.whole import whole_fields
+from octoarm_agents.common.whole import whole_fields
 from octoarm_env import ArmParameters
 
 __all__ = ["ArmSurvey", "SurveySettings", "survey_arm"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 from octoarm_agents.analysis.survey import SurveySettings, survey_arm
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters, DomainError
 
 __all__ = ["QUANTITIES", "Quantity", "SweepPoint", "default_values", "run_sweep"]

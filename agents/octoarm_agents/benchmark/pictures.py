@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from octoarm_agents.benchmark.contenders import Contender, dry_body, has_mujoco
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
 from octoarm_agents.benchmark.speed import Ratio, Spread, take_turns, time_slice
-from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 from octoarm_env.rendering.toolkit import pygame
 

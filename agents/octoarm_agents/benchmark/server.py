@@ -26,8 +26,8 @@ from dm_env_rpc.v1 import dm_env_rpc_pb2 as protocol
 from numpy.typing import NDArray
 
 from octoarm_agents.benchmark.speed import Ratio, Spread
-from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.serving import ServerProcess, find_program
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.serving import ServerProcess, find_program
 from octoarm_env import OctoArmEnv
 
 __all__ = [

@@ -35,8 +35,8 @@ from octoarm_agents.benchmark.contenders import (
     other_instruction_sets,
     vector_name,
 )
-from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_env import OctoArmVectorEnv, instruction_set
 
 __all__ = ["Ratio", "SpeedResult", "Spread", "measure_speed", "take_turns", "time_slice"]

@@ -23,9 +23,9 @@ from octoarm_agents.calibration.score import (
 )
 from octoarm_agents.calibration.search import POPULATION, search_bodies
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
+from octoarm_agents.common.files import write_atomically, write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
-from octoarm_agents.files import write_atomically, write_json
-from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = ["SCORE", "calibrate_body", "measure_again"]
@@ -69,7 +69,7 @@ def calibrate_body(
         trials: T_ini with which the best body is measured again.
         seed: of the search.
         jobs: processes.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         What ``calibration.json`` holds; None if no body stayed in its domain.

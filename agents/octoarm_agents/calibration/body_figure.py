@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
-from octoarm_agents.experiments.figures import (
+from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
     GREEN,

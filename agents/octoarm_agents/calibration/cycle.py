@@ -8,8 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
     WINDOW_STEPS,
@@ -19,7 +20,6 @@ from octoarm_agents.reservoir.closed_loop import (
 )
 from octoarm_agents.reservoir.teaching import TIME_SCALES, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
-from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
 __all__ = ["CLOSED_STEPS", "calibrate_cycle"]

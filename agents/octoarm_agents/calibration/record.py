@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.files import write_text
+from octoarm_agents.common.files import write_text
 
 __all__ = ["append_evaluations", "read_evaluations"]
 

@@ -23,6 +23,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from octoarm_agents.calibration.outcomes import count_contradictions, plain_outcomes
+from octoarm_agents.common.lanes import record_arms
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.experiments.task1 import (
     INITIAL_STEPS,
     PAPER,
@@ -38,8 +40,6 @@ from octoarm_agents.experiments.task1 import (
 )
 from octoarm_agents.reservoir.emulation import emulation_targets
 from octoarm_agents.reservoir.inputs import product_of_sines
-from octoarm_agents.reservoir.recording import record_arms
-from octoarm_agents.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from octoarm_agents.calibration.record import append_evaluations, read_evaluations
 from octoarm_agents.calibration.score import evaluate_bodies
 from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
-from octoarm_agents.experiments.trials import code_digest, share_out
-from octoarm_agents.machine import package_versions
-from octoarm_agents.progress import progress_bar
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.progress import progress_bar
+from octoarm_agents.common.provenance import package_versions
+from octoarm_agents.common.trials import code_digest, share_out
+from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters
 
 __all__ = ["POPULATION", "search_bodies"]
@@ -62,7 +62,7 @@ def search_bodies(
         noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         The evaluations of these searches, each ``search`` (digest of all that it depends on),

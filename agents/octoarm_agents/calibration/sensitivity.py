@@ -13,10 +13,10 @@ from octoarm_agents.calibration.outcomes import plain_outcomes
 from octoarm_agents.calibration.score import TEACHER_STEPS, follow_teachers, initial_steps
 from octoarm_agents.calibration.sensitivity_report import draw_sensitivity, sensitivity_markdown
 from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
+from octoarm_agents.common.files import write_atomically, write_json, write_text
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.trials import run_trials
 from octoarm_agents.experiments.task1 import RANGE, check_timestep
-from octoarm_agents.experiments.trials import run_trials
-from octoarm_agents.files import write_atomically, write_json, write_text
-from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
 __all__ = ["AMPLITUDES", "Change", "changes_of", "measure_sensitivity", "probe_change"]
@@ -171,7 +171,7 @@ def measure_sensitivity(
         amplitudes: R of the teachers [degrees].
         noise_seeds: trainings of each limit cycle; 0: none.
         jobs: processes; the results do not depend on it.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         What ``sensitivity.json`` holds.

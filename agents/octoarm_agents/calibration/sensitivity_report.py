@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from octoarm_agents.experiments.figures import (
+from octoarm_agents.common.plotting import (
     BLUE,
     GREEN,
     GREY,

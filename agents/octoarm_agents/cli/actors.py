@@ -33,7 +33,7 @@ class Actor:
         name: as it was asked for.
         policy: the agent; None: nobody yet.
         parameters: the body.
-        settings: the environment's, `octoarm_agents.environment.SETTINGS` or some of them.
+        settings: the environment's, `octoarm_agents.common.environment.SETTINGS` or some of them.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Actor:
         """Make the environment, for episodes of so many steps."""
         import gymnasium as gym
 
-        from octoarm_agents.environment import ENV_ID
+        from octoarm_agents.common.environment import ENV_ID
 
         try:
             return gym.make(ENV_ID, max_episode_steps=steps, arm=self.parameters, **self.settings)
@@ -59,7 +59,7 @@ def find_actor(name: str, arm: Path | None) -> Actor:
     Raises:
         typer.BadParameter: there is no such agent, or it does not fit the body.
     """
-    from octoarm_agents.environment import TARGETS
+    from octoarm_agents.common.environment import TARGETS
     from octoarm_agents.policies import load_policy, trained_agents
     from octoarm_agents.policies.evaluation import TRIVIAL
 

@@ -16,7 +16,7 @@ from octoarm_agents.cli.log_options import (
     TimeColumn,
 )
 from octoarm_agents.cli.options import number_between, output_folder, read_body
-from octoarm_agents.progress import progress_bar, stage_bar
+from octoarm_agents.common.progress import progress_bar, stage_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -167,7 +167,7 @@ def states(
     from octoarm_agents.analysis.measures import MeasureSettings, measure
     from octoarm_agents.analysis.recording_file import read_recording
     from octoarm_agents.analysis.tables import measures_table
-    from octoarm_agents.files import write_atomically, write_json
+    from octoarm_agents.common.files import write_atomically, write_json
 
     settings = MeasureSettings(
         max_delay=max_delay,
@@ -343,7 +343,7 @@ def _survey(console: Console, parameters: Any, settings: SurveySettings, out: Pa
     from octoarm_agents.analysis.figure import draw_analysis
     from octoarm_agents.analysis.survey import survey_arm
     from octoarm_agents.analysis.tables import survey_table
-    from octoarm_agents.files import write_atomically, write_json
+    from octoarm_agents.common.files import write_atomically, write_json
     from octoarm_env import DomainError
 
     stages = ["starting"]
@@ -378,7 +378,7 @@ def _sweep(
     from octoarm_agents.analysis.sweep import QUANTITIES, default_values, run_sweep
     from octoarm_agents.analysis.sweep_figure import draw_sweep
     from octoarm_agents.analysis.tables import sweep_table
-    from octoarm_agents.files import write_atomically, write_json
+    from octoarm_agents.common.files import write_atomically, write_json
 
     chosen = default_values(quantity, settings) if values is None else _parse_values(values)
     with progress_bar(len(chosen), quantity) as bar:
@@ -414,7 +414,7 @@ def _finish(console: Console, warnings: list[str], out: Path) -> None:
 
 
 def _computed_with() -> dict[str, Any]:
-    from octoarm_agents.machine import describe_machine, package_versions
+    from octoarm_agents.common.provenance import describe_machine, package_versions
 
     names = ("octoarm-env", "octoarm-agents", "numpy", "scipy", "matplotlib")
     return {"versions": package_versions(*names), "machine": describe_machine()}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from octoarm_agents.cli.options import need_extra, number_between, output_file
-from octoarm_agents.progress import progress_bar
+from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -74,8 +74,8 @@ def benchmark(
     """
     from rich.console import Console
 
-    from octoarm_agents.files import write_json
-    from octoarm_agents.serving import ServerNotFoundError
+    from octoarm_agents.common.files import write_json
+    from octoarm_agents.common.serving import ServerNotFoundError
 
     if pictures and server:
         raise typer.BadParameter("not together with --pictures.", param_hint="'--server'")

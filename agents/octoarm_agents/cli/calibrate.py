@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import number_between, output_folder, read_body
-from octoarm_agents.progress import progress_bar
+from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console

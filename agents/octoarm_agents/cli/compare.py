@@ -77,11 +77,11 @@ def compare(
     """
     with need_extra("rl"):
         import octoarm_agents.rl  # noqa: F401
+    from octoarm_agents.common.environment import TARGETS
+    from octoarm_agents.common.files import write_text
     from octoarm_agents.comparison import AGENTS, Comparison, Protocol, draw_all
     from octoarm_agents.comparison import compare as run
     from octoarm_agents.comparison.report import write_report
-    from octoarm_agents.environment import TARGETS
-    from octoarm_agents.files import write_text
 
     try:
         comparison = Comparison(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import number_between, output_folder, read_body
-from octoarm_agents.progress import stage_bar
+from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -106,9 +106,9 @@ def demo(
     from rich.console import Console
 
     from octoarm_agents import demo as arm_demo
+    from octoarm_agents.common.files import write_atomically, write_json
     from octoarm_agents.demo_figure import draw_demo
     from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
-    from octoarm_agents.files import write_atomically, write_json
 
     parameters = read_body(arm)
     teaching = replace(CYCLES[target]["plain" if plain else "weighted"], actuator=actuator)

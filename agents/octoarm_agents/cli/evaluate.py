@@ -54,8 +54,8 @@ def evaluate(
     from rich.console import Console
     from rich.table import Table
 
-    from octoarm_agents.environment import inspect_env
-    from octoarm_agents.files import write_json
+    from octoarm_agents.common.environment import inspect_env
+    from octoarm_agents.common.files import write_json
     from octoarm_agents.policies.evaluation import TRIVIAL, evaluate_policy
     from octoarm_agents.policies.rollout import Noise, Push
 

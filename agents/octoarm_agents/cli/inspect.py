@@ -25,7 +25,7 @@ from octoarm_agents.cli.options import (
     output_file,
     output_folder,
 )
-from octoarm_agents.progress import progress_bar
+from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
     from rerun import RecordingStream

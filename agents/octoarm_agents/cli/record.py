@@ -26,7 +26,7 @@ from octoarm_agents.cli.pictures import (
     Zoom,
     make_renderer,
 )
-from octoarm_agents.progress import progress_bar
+from octoarm_agents.common.progress import progress_bar
 
 __all__ = ["record"]
 

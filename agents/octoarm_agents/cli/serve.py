@@ -11,7 +11,7 @@ import typer
 
 def serve(context: typer.Context) -> None:
     """Serve the arm over gRPC: `octoarm serve --help` shows the server's own options."""
-    from octoarm_agents.serving import ServerNotFoundError, find_program
+    from octoarm_agents.common.serving import ServerNotFoundError, find_program
 
     try:
         program = str(find_program())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import need_extra, number_between, output_folder, read_body
-from octoarm_agents.progress import progress_bar
+from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
     from octoarm_agents.rl import Training

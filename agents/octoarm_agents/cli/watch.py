@@ -156,7 +156,7 @@ def _can_open_a_window() -> bool:
 
 
 def _by_hand(target: str, arm: Path | None) -> Actor:
-    from octoarm_agents.environment import TARGETS
+    from octoarm_agents.common.environment import TARGETS
 
     if target not in TARGETS:
         raise typer.BadParameter(

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from octoarm_agents.common.files import write_atomically
 from octoarm_agents.comparison.agents import AGENTS
 from octoarm_agents.comparison.measuring import Protocol
 from octoarm_agents.comparison.study import Comparison, compare
-from octoarm_agents.files import write_atomically
 
 __all__ = ["AGENTS", "Comparison", "Protocol", "compare", "draw_all"]
 
@@ -21,8 +21,8 @@ def draw_all(result: Mapping[str, Any], out: Path) -> None:
     Raises:
         OSError: the folder cannot be written to.
     """
+    from octoarm_agents.common.plotting import save_figure
     from octoarm_agents.comparison.pictures import PICTURES
-    from octoarm_agents.experiments.figures import save_figure
 
     for name, draw in PICTURES.items():
         figure = draw(result)

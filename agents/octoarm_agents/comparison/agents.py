@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from octoarm_agents.common.environment import TARGETS
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
-from octoarm_agents.environment import TARGETS
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies.evaluation import TRIVIAL
-from octoarm_agents.whole import whole_fields
 
 __all__ = ["AGENTS", "NETWORKS", "TRAINED", "TRIVIAL", "Cell", "make_agent"]
 

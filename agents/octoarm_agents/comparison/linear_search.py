@@ -17,13 +17,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from octoarm_agents.environment import inspect_env, make_vector_env
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.common.environment import inspect_env, make_vector_env
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import Network, NetworkPolicy, save_network
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.rollout import roll_out
-from octoarm_agents.whole import whole_fields
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["LinearSearch", "search_linear"]

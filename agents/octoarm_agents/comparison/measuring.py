@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.environment import make_vector_env
+from octoarm_agents.common.environment import make_vector_env
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import Policy, load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
 from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout, roll_out
-from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 __all__ = [

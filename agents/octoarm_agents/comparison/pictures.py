@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from octoarm_agents.experiments.figures import (
+from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
     GREEN,

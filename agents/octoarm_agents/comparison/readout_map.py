@@ -49,7 +49,7 @@ def map_readout(
     """
     import numpy as np
 
-    from octoarm_agents.environment import make_vector_env
+    from octoarm_agents.common.environment import make_vector_env
     from octoarm_agents.reservoir import Readout, train_policy
 
     readout = Readout("noise", noise=noise, bias=True) if noise else Readout("pinv", bias=True)

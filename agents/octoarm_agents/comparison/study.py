@@ -12,6 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from octoarm_agents.common.environment import TARGETS, inspect_env
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.intervals import bootstrap_interval, interquartile_mean
+from octoarm_agents.common.progress import progress_bar
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.trials import run_trials
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.comparison.agents import (
     AGENTS,
     READOUTS,
@@ -32,15 +39,8 @@ from octoarm_agents.comparison.measuring import (
     phase_portrait,
 )
 from octoarm_agents.comparison.readout_map import ACTION_NOISES, RIDGE_NOISES, map_readout
-from octoarm_agents.environment import TARGETS, inspect_env
-from octoarm_agents.experiments.statistics import bootstrap_interval, interquartile_mean
-from octoarm_agents.experiments.trials import run_trials
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import describe_machine, package_versions
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import acting
-from octoarm_agents.progress import progress_bar
-from octoarm_agents.whole import whole_fields
 from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 __all__ = ["Comparison", "compare"]
@@ -96,7 +96,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Args:
         comparison: what to compare.
         out: folder.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         What ``compare.json`` holds.

@@ -113,18 +113,18 @@ def burst_tables(result: Mapping[str, Any]) -> list[ResultTable]:
 
 def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
     """A row an ε: outputs over time around the noise, and the portrait, for both trainings."""
-    from octoarm_agents.experiments.cycle_figures import (
-        draw_outputs,
-        draw_portrait,
-        explain_outputs,
-        say_missing,
-    )
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLACK,
         ORANGE,
         new_figure,
         save_figure,
         write_letters,
+    )
+    from octoarm_agents.experiments.cycle_figures import (
+        draw_outputs,
+        draw_portrait,
+        explain_outputs,
+        say_missing,
     )
 
     timestep = result["body"]["timestep"]

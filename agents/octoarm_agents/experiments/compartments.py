@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from octoarm_agents.common.intervals import summarise
 from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.experiments.runner import Context, ResultTable
-from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
 from octoarm_agents.experiments.task1_trials import leave_out_compartments, record_trials
 
@@ -109,7 +109,7 @@ def draw_ratios(
         label: of the vertical axis.
         reference: where to draw a horizontal line, and let the bars begin.
     """
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLACK,
         GREY,
         TASK_COLOURS,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from octoarm_agents.experiments.figures import BLACK, BLUE, GREY, ORANGE, VERMILLION
+from octoarm_agents.common.plotting import BLACK, BLUE, GREY, ORANGE, VERMILLION
 from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END
 
 __all__ = ["draw_outputs", "draw_portrait", "explain_outputs", "say_missing"]

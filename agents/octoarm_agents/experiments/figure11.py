@@ -100,13 +100,7 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
     """A lost trial over time and as a portrait; the part lost against ε."""
-    from octoarm_agents.experiments.cycle_figures import (
-        draw_outputs,
-        draw_portrait,
-        explain_outputs,
-        say_missing,
-    )
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLACK,
         GREEN,
         ORANGE,
@@ -114,6 +108,12 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         new_figure,
         save_figure,
         write_letters,
+    )
+    from octoarm_agents.experiments.cycle_figures import (
+        draw_outputs,
+        draw_portrait,
+        explain_outputs,
+        say_missing,
     )
 
     timestep, example = result["body"]["timestep"], result["example"]

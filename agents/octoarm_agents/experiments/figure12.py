@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.intervals import format_range
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, TRAININGS
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.statistics import format_range
 from octoarm_agents.experiments.task2 import teach_cycles
 
 __all__ = ["EXPERIMENT", "by_compartment", "describe_weights"]
@@ -175,8 +175,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
 
     The four springs of a compartment stand together.
     """
-    from octoarm_agents.experiments.cycle_figures import say_missing
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLUE,
         GREEN,
         GREY,
@@ -186,6 +185,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         save_figure,
         write_letters,
     )
+    from octoarm_agents.experiments.cycle_figures import say_missing
 
     figure = new_figure(13.0, 8.5)
     panels = figure.subplots(len(result["cycles"]), 2, squeeze=False)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from octoarm_agents.common.intervals import format_range
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
 from octoarm_agents.experiments.figure12 import by_compartment
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.statistics import format_range
 from octoarm_agents.experiments.task2 import FOLDER, TaughtCycle, teach_cycles
 from octoarm_agents.experiments.task2_trials import NUDGED_STEPS, nudge_cycle
 
@@ -204,8 +204,7 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
     """Differences against ε above, dw by compartment below; a column a cycle."""
-    from octoarm_agents.experiments.cycle_figures import say_missing
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLUE,
         GREEN,
         GREY,
@@ -215,6 +214,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         save_figure,
         write_letters,
     )
+    from octoarm_agents.experiments.cycle_figures import say_missing
 
     figure = new_figure(13.0, 7.5)
     panels = figure.subplots(2, len(result["cycles"]), squeeze=False)

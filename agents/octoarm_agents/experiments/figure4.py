@@ -110,7 +110,7 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
     """The input, springs 1 to 4 of all compartments, and the three outputs, one above another."""
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLACK,
         BLUE,
         GREY,

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.intervals import summarise
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.statistics import summarise
 from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
 from octoarm_agents.experiments.task1_trials import record_trials, score_arm
 
@@ -201,7 +201,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
 
     Of the errors under noise there are the medians alone, as thinner lines.
     """
-    from octoarm_agents.experiments.figures import (
+    from octoarm_agents.common.plotting import (
         BLACK,
         GREY,
         TASK_COLOURS,

@@ -9,9 +9,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from octoarm_agents.experiments.cycle_figures import say_missing
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
-from octoarm_agents.experiments.figures import (
+from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
     GREEN,
@@ -22,6 +20,8 @@ from octoarm_agents.experiments.figures import (
     save_figure,
     write_letters,
 )
+from octoarm_agents.experiments.cycle_figures import say_missing
+from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
 from octoarm_agents.experiments.floquet_trials import is_stable
 
 __all__ = ["draw_floquet"]

@@ -1,6 +1,6 @@
 """The trial of the Floquet map: many readouts of one teacher, what they are like and what they do.
 
-A trial of `octoarm_agents.experiments.trials`: plain numbers in and out.
+A trial of `octoarm_agents.common.trials`: plain numbers in and out.
 """
 
 from __future__ import annotations

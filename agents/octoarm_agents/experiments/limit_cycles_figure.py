@@ -9,6 +9,7 @@ from typing import Any
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
+from octoarm_agents.common.plotting import BLUE, GREEN, new_figure, save_figure, write_letters
 from octoarm_agents.experiments.cycle_figures import (
     draw_outputs,
     draw_portrait,
@@ -16,7 +17,6 @@ from octoarm_agents.experiments.cycle_figures import (
     say_missing,
 )
 from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS
-from octoarm_agents.experiments.figures import BLUE, GREEN, new_figure, save_figure, write_letters
 
 __all__ = ["draw_limit_cycles"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments.trials import Record, Settings, Trial, run_trials
-from octoarm_agents.files import write_atomically, write_json
-from octoarm_agents.machine import describe_machine, package_versions
-from octoarm_agents.whole import whole_fields
+from octoarm_agents.common.files import write_atomically, write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.trials import Record, Settings, Trial, run_trials
+from octoarm_agents.common.whole import whole_fields
 from octoarm_env import ArmParameters
 
 __all__ = ["Context", "Experiment", "ResultTable", "reproduce"]
@@ -45,7 +45,7 @@ class Context:
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
         fresh: compute every trial anew, even if it is stored.
     """
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from octoarm_agents.common.intervals import summarise, welch_p_value
 from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.statistics import summarise, welch_p_value
 from octoarm_agents.experiments.task1 import (
     HOLD_STEPS,
     INPUTS,
@@ -183,8 +183,8 @@ def _number(value: float | None, form: str = ".2e") -> str:
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
     """Bars on a logarithmic axis: a row for each input, a column for each task."""
-    from octoarm_agents.experiments.figures import TASK_LABELS, new_figure, save_figure
-    from octoarm_agents.experiments.figures import write_letters as letter
+    from octoarm_agents.common.plotting import TASK_LABELS, new_figure, save_figure
+    from octoarm_agents.common.plotting import write_letters as letter
 
     figure = new_figure(12.0, 6.6)
     panels = figure.subplots(2, 3)
@@ -200,7 +200,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
 
 def _draw_bars(axes: Any, entry: Mapping[str, Any], *, labelled: bool) -> None:
     """One bar a method, with its standard deviation and its value."""
-    from octoarm_agents.experiments.figures import BLUE, GREY, ORANGE, VERMILLION
+    from octoarm_agents.common.plotting import BLUE, GREY, ORANGE, VERMILLION
 
     bars: list[tuple[str, float | None, float | None, str]] = []
     for method in METHODS:

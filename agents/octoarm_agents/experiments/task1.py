@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.lanes import Recording, record_arms
 from octoarm_agents.experiments.refusal import RefusedError
 from octoarm_agents.reservoir.emulation import SYSTEMS, emulation_targets
 from octoarm_agents.reservoir.inputs import (
@@ -23,7 +24,6 @@ from octoarm_agents.reservoir.inputs import (
     smooth_noise,
 )
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_agents.reservoir.recording import Recording, record_arms
 from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = [

@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.lanes import Recording
 from octoarm_agents.experiments.task1 import (
     Drive,
     fit_readout,
@@ -24,7 +25,6 @@ from octoarm_agents.experiments.task1 import (
 from octoarm_agents.reservoir.baselines import BASELINES
 from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_agents.reservoir.recording import Recording
 from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = ["compare_methods", "leave_out_compartments", "record_trials", "score_arm"]

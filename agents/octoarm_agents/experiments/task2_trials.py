@@ -1,6 +1,6 @@
 """The trials of task 2: teach a cycle, hold it, disturb it (section 2.2.2, 3.2).
 
-Every function here is a trial of `octoarm_agents.experiments.trials`: plain numbers in and out. A
+Every function here is a trial of `octoarm_agents.common.trials`: plain numbers in and out. A
 teaching comes as the keyword arguments of `Teaching`, a readout as its weights.
 """
 

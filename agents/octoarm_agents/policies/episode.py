@@ -8,11 +8,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.environment import inspect_env
+from octoarm_agents.common.environment import inspect_env
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.evaluation import Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout
-from octoarm_agents.whole import whole_number
 from octoarm_env import OctoArmEnv
 
 __all__ = ["Episode"]
@@ -37,7 +37,7 @@ class Episode:
     Attributes:
         arm_env: the environment without its wrappers.
         parameters: the body.
-        settings: the environment's, `octoarm_agents.environment.SETTINGS`.
+        settings: the environment's, `octoarm_agents.common.environment.SETTINGS`.
         period: seconds of a step.
         lengths: of the springs now, without noise, (4 N,) [m].
         info: of the last step, or of the reset.

@@ -7,11 +7,11 @@ from typing import Any, Literal, get_args
 import gymnasium as gym
 import numpy as np
 
-from octoarm_agents.environment import make_vector_env
+from octoarm_agents.common.environment import make_vector_env
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
-from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
 __all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import gymnasium as gym
 
-from octoarm_agents.environment import check_spaces, differences, inspect_env
+from octoarm_agents.common.environment import check_spaces, differences, inspect_env
 from octoarm_agents.policies.network_file import load_network
 from octoarm_agents.policies.rollout import Acting
 from octoarm_agents.reservoir import ReadoutPolicy
@@ -30,7 +30,7 @@ class Home(Protocol):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The environment's, `octoarm_agents.environment.SETTINGS`."""
+        """The environment's, `octoarm_agents.common.environment.SETTINGS`."""
 
 
 class Policy(Acting, Home, Protocol):

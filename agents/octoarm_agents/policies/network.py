@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from octoarm_agents.environment import SETTINGS
+from octoarm_agents.common.environment import SETTINGS
 from octoarm_env import ArmParameters
 
 __all__ = ["ACTIVATIONS", "OUTPUTS", "Lstm", "Network", "NetworkPolicy"]

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from octoarm_agents.environment import ENV_ID, decode_body
-from octoarm_agents.files import write_atomically
-from octoarm_agents.machine import package_versions
+from octoarm_agents.common.environment import ENV_ID, decode_body
+from octoarm_agents.common.files import write_atomically
+from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.policies.network import Lstm, Network, NetworkPolicy
 
 __all__ = ["load_network", "save_network"]

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.whole import whole_fields, whole_number
+from octoarm_agents.common.whole import whole_fields, whole_number
 from octoarm_env import OctoArmVectorEnv
 
 __all__ = ["Acting", "HoldPolicy", "Noise", "Push", "Rollout", "roll_out"]

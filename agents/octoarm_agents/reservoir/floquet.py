@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
 
 __all__ = ["TeacherRun", "floquet_exponents"]

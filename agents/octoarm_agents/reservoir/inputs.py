@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["FREQUENCIES", "PEAK", "TIMESTEP", "base_angles", "product_of_sines", "smooth_noise"]
 

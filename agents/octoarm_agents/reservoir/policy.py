@@ -10,10 +10,16 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from octoarm_agents.environment import ENV_ID, SETTINGS, check_spaces, differences, inspect_env
+from octoarm_agents.common.environment import (
+    ENV_ID,
+    SETTINGS,
+    check_spaces,
+    differences,
+    inspect_env,
+)
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_agents.reservoir.readout_file import load_readout, save_readout
-from octoarm_agents.whole import whole_number
 from octoarm_env import ArmParameters, TeacherPolicy
 
 __all__ = ["ReadoutPolicy", "train_policy"]

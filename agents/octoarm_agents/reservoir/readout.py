@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, check_X_y, validate_data
 
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["Readout"]
 

@@ -12,9 +12,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.environment import decode_body, differences
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import package_versions
+from octoarm_agents.common.environment import decode_body, differences
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import ArmParameters
 

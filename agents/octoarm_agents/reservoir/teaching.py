@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_agents.whole import whole_fields
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = ["TIME_SCALES", "UNDISTURBED", "Lesson", "Taught", "Teaching", "teach"]

@@ -11,7 +11,7 @@ from typing import Any
 import cloudpickle
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 
-from octoarm_agents.files import write_atomically
+from octoarm_agents.common.files import write_atomically
 
 __all__ = ["read_checkpoint", "write_checkpoint"]
 

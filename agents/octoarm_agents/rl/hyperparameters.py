@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 import yaml
 from stable_baselines3.common.utils import LinearSchedule
 
-from octoarm_agents.environment import ENV_ID
+from octoarm_agents.common.environment import ENV_ID
 
 __all__ = ["ALGORITHMS", "Algorithm", "Hyperparameters", "algorithm_class", "hyperparameter_file"]
 

@@ -17,9 +17,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from octoarm_agents.environment import inspect_env, make_vector_env
-from octoarm_agents.files import write_atomically, write_json
-from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.common.environment import inspect_env, make_vector_env
+from octoarm_agents.common.files import write_atomically, write_json
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.network import NetworkPolicy
 from octoarm_agents.policies.network_file import save_network
@@ -28,7 +29,6 @@ from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
-from octoarm_agents.whole import whole_number
 
 __all__ = ["CHECKPOINT", "SUMMARY", "Training", "train"]
 

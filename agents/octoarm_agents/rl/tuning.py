@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from octoarm_agents.environment import ENV_ID, TARGETS
-from octoarm_agents.files import write_json, write_text
-from octoarm_agents.machine import describe_machine, package_versions
+from octoarm_agents.common.environment import ENV_ID, TARGETS
+from octoarm_agents.common.files import write_json, write_text
+from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.rl.hyperparameters import Hyperparameters
 from octoarm_agents.rl.training import Training, train
-from octoarm_agents.whole import whole_number
 
 __all__ = ["TRIAL_STEPS", "sample", "tune_algorithm"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import functools
 import hashlib
 import importlib.util
@@ -12,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octoarm_agents.files import write_json
-from octoarm_agents.machine import package_versions
-from octoarm_agents.progress import progress_bar
-from octoarm_agents.reservoir.recording import LANES
-from octoarm_agents.whole import whole_number
+from octoarm_agents.common.files import write_json
+from octoarm_agents.common.lanes import LANES
+from octoarm_agents.common.progress import progress_bar
+from octoarm_agents.common.provenance import package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters, _core
 
 __all__ = ["code_digest", "run_trials", "share_out"]
@@ -58,7 +57,7 @@ def run_trials(
             trials it is called with.
         jobs: processes.
         fresh: compute every trial anew, whatever `folder` holds.
-        progress: as `shown` of `octoarm_agents.progress.progress_bar`.
+        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
         description: of the bar.
 
     Returns:
@@ -173,46 +172,16 @@ def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:
 
 @functools.cache
 def code_digest(module: str) -> str:
-    """Digest of a module, of what it imports of this distribution, and of the compiled physics.
+    """Digest of this package, of the module that a trial is in, and of the compiled physics.
 
     The version alone would let trials of an older state of a checkout pass for present ones.
 
     Args:
         module: full name of an importable module.
     """
+    specification = importlib.util.find_spec(module)
+    own = set() if specification is None else {Path(str(specification.origin))}
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
-    waiting, sources = [module], dict[str, bytes]()
-    while waiting:
-        name = waiting.pop()
-        if name in sources:
-            continue
-        source = _source(name)
-        if source is not None:
-            sources[name] = source
-            waiting += _imports(source)
-    for name in sorted(sources):
-        digest.update(sources[name])
+    for file in sorted(own | set(Path(__file__).parents[1].rglob("*.py"))):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
-
-
-def _source(module: str) -> bytes | None:
-    """Text of a module; None if there is no such module, as for a name imported from one."""
-    try:
-        specification = importlib.util.find_spec(module)
-    except (ModuleNotFoundError, ValueError):
-        return None
-    if specification is None or specification.origin is None:
-        return None
-    return Path(specification.origin).read_bytes()
-
-
-def _imports(source: bytes) -> list[str]:
-    """Modules of this distribution that a module imports from, and the names it takes from them."""
-    names = []
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.module is not None:
-            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-    package = __name__.partition(".")[0]
-    return [name for name in names if name.startswith(f"{package}.")]
