@@ -27,6 +27,7 @@ from octoarm_env.arm import Arm, ArmState, Energy, Linearisation
 from octoarm_env.arm_batch import ArmBatch, BatchRun
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters
+from octoarm_env.settings import EpisodeSettings
 from octoarm_env.targets import LIMIT_CYCLES, LimitCycle
 from octoarm_env.teacher import TeacherPolicy
 from octoarm_env.vector import OctoArmVectorEnv, VectorSnapshot
@@ -40,6 +41,7 @@ __all__ = [
     "BatchRun",
     "DomainError",
     "Energy",
+    "EpisodeSettings",
     "LimitCycle",
     "Linearisation",
     "OctoArmEnv",

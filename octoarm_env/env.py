@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed
 from octoarm_env.episode import EpisodeCore
-from octoarm_env.parameters import BodyLike
+from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
-from octoarm_env.settings import MadeOnce, episode_settings, phase_option
+from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
@@ -163,21 +163,23 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         overlay: bool = True,
     ) -> None:
         self.render_mode = render_mode
-        settings = episode_settings(
-            target,
+        self._settings = EpisodeSettings(
+            target,  # type: ignore[arg-type]  # brought into its plain form there, as the body is
             amplitude,
             control_period,
             actuator,
-            arm,
+            ArmParameters.of(arm),
             action_range,
             tracking_weight,
             reward_width,
             action_change_weight,
         )
-        self._core = self._episode(settings)
+        self._core = self._episode(self._settings)
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
-        self._pictures = Pictures([settings], render_mode, modes, width, height, camera, overlay)
+        self._pictures = Pictures(
+            [self._settings], render_mode, modes, width, height, camera, overlay
+        )
         self._history = None if render_mode is None else History(control_period)
         self._seeded = False
         low, high = self._core.observation_bounds
@@ -318,9 +320,14 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         """Centres of the arm's planes in the world frame, base first, (N + 1, 3) [m]."""
         return self._core.positions
 
-    def _episode(self, settings: str) -> EpisodeCore:
+    @property
+    def settings(self) -> EpisodeSettings:
+        """What the episodes are made of."""
+        return self._settings
+
+    def _episode(self, settings: EpisodeSettings) -> EpisodeCore:
         """Make the episode behind this environment."""
-        return _core.Episode(settings)
+        return _core.Episode(settings.text)
 
     @property
     def _subject(self) -> Subject:
@@ -332,14 +339,13 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        core = state.pop("_core")
-        state["_saved"] = (core.config, core.save())
+        state["_saved"] = state.pop("_core").save()
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        config, episode = state.pop("_saved")
+        episode = state.pop("_saved")
         self.__dict__.update(state)
-        self._core = self._episode(config)
+        self._core = self._episode(self._settings)
         self._core.load(episode)
 
     def __copy__(self) -> OctoArmEnv:

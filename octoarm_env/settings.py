@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -14,7 +15,7 @@ from octoarm_env.arguments import actuator_name, number
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
 
-__all__ = ["MadeOnce", "episode_settings", "phase_option"]
+__all__ = ["EpisodeSettings", "MadeOnce", "phase_option"]
 
 
 class MadeOnce:
@@ -60,36 +61,76 @@ class MadeOnce:
                 return
 
 
-def episode_settings(
-    target: Any,
-    amplitude: Any,
-    control_period: Any,
-    actuator: Any,
-    arm: Any,
-    action_range: Any,
-    tracking_weight: Any,
-    reward_width: Any,
-    action_change_weight: Any,
-) -> str:
-    """Give the settings of one environment as JSON text.
+@dataclasses.dataclass(frozen=True)
+class EpisodeSettings:
+    """What an episode is made of: the arguments of `OctoArmEnv` under their names.
 
-    Raises:
-        ValueError, TypeError: naming the argument, its value and what is allowed. Ranges are
-            checked by the physics, when it reads the text.
+    Attributes:
+        target: name of a limit cycle, or the rows (θ, φ) of one period of another [degrees].
+        amplitude: largest angle of the target [degrees]; None: the paper's, or the rows' own.
+        control_period: time from one action to the next [s].
+        actuator: ``"direct"`` or ``"servo"``.
+        arm: the body.
+        action_range: base angle of an action of 1 [degrees]; None: 1.3 times the amplitude.
+        tracking_weight: reward of an exactly tracked step.
+        reward_width: tracking error at which it has fallen to 1/e, as a share of the amplitude.
+        action_change_weight: cost of a unit of squared action change.
     """
-    return json.dumps(
-        {
-            "target": _target(target),
-            "amplitude": None if amplitude is None else number("amplitude", amplitude),
-            "control_period": number("control_period", control_period),
-            "actuator": actuator_name(actuator),
-            "arm": ArmParameters.of(arm).to_dict(),
-            "action_range": None if action_range is None else number("action_range", action_range),
-            "tracking_weight": number("tracking_weight", tracking_weight),
-            "reward_width": number("reward_width", reward_width),
-            "action_change_weight": number("action_change_weight", action_change_weight),
+
+    target: str | tuple[tuple[float, float], ...] = "quadratic"
+    amplitude: float | None = None
+    control_period: float = 0.01
+    actuator: Literal["direct", "servo"] = "direct"
+    arm: ArmParameters = dataclasses.field(default_factory=ArmParameters)
+    action_range: float | None = None
+    tracking_weight: float = 1.0
+    reward_width: float = 0.3
+    action_change_weight: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Bring what was given into its plain form.
+
+        Raises:
+            ValueError, TypeError: naming the argument, its value and what is allowed. Ranges are
+                checked by the physics, when it reads the settings.
+        """
+        plain_form: dict[str, Any] = {
+            "target": _target(self.target),
+            "actuator": actuator_name(self.actuator),
+            "arm": ArmParameters.of(self.arm),
         }
-    )
+        for name in ("amplitude", "action_range"):
+            value = getattr(self, name)
+            plain_form[name] = None if value is None else number(name, value)
+        others = ("control_period", "tracking_weight", "reward_width", "action_change_weight")
+        for name in others:
+            plain_form[name] = number(name, getattr(self, name))
+        for name, value in plain_form.items():
+            object.__setattr__(self, name, value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All settings as JSON can hold them; `from_dict` gives them back."""
+        content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        target = self.target if isinstance(self.target, str) else [list(row) for row in self.target]
+        return content | {"target": target, "arm": self.arm.to_dict()}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> EpisodeSettings:
+        """Read settings; what is left out takes its default.
+
+        Raises:
+            ValueError, TypeError: naming what is unknown or cannot be used.
+        """
+        known = [field.name for field in dataclasses.fields(cls)]
+        unknown = sorted(set(content) - set(known))
+        if unknown:
+            raise ValueError(f"unknown settings {unknown}; known are {known}")
+        return cls(**content)
+
+    @functools.cached_property
+    def text(self) -> str:
+        """The settings as the physics reads them."""
+        return json.dumps(self.to_dict())
 
 
 def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
@@ -108,7 +149,7 @@ def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     return number("options['phase']", options["phase"])
 
 
-def _target(value: Any) -> str | list[list[float]]:
+def _target(value: Any) -> str | tuple[tuple[float, float], ...]:
     if isinstance(value, str):
         if value not in TARGET_NAMES:
             raise ValueError(
@@ -124,5 +165,4 @@ def _target(value: Any) -> str | list[list[float]]:
         raise TypeError("target must be an array of numbers, not one with masked entries")
     if not np.isfinite(samples).all():
         raise ValueError("target holds numbers that are not finite")
-    rows: list[list[float]] = samples.astype(np.float64).tolist()
-    return rows
+    return tuple((theta, phi) for theta, phi in samples.astype(np.float64).tolist())

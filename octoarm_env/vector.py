@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed, thread_count, whole_number
 from octoarm_env.env import OctoArmEnv
-from octoarm_env.parameters import BodyLike
+from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import BatchHistory
 from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
-from octoarm_env.settings import MadeOnce, episode_settings, phase_option
+from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
@@ -142,14 +142,15 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             strict=True,
         )
         others = (action_range, tracking_weight, reward_width, action_change_weight)
-        known: dict[tuple[int, Any, int], str] = {}
+        known: dict[tuple[int, Any, int], EpisodeSettings] = {}
         settings = []
         for one_target, one_amplitude, body in columns:
             # Arguments are mostly the same for all, and checking a body takes a while.
             key = (id(one_target), one_amplitude, id(body))
             if key not in known:
-                known[key] = episode_settings(
-                    one_target, one_amplitude, control_period, actuator, body, *others
+                body_of_one = ArmParameters.of(body)
+                known[key] = EpisodeSettings(
+                    one_target, one_amplitude, control_period, actuator, body_of_one, *others
                 )
             settings.append(known[key])
         if max_episode_steps == -1:
@@ -157,7 +158,10 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         elif max_episode_steps is not None:
             max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, 2**63 - 1)
         self._max_episode_steps = max_episode_steps
-        self._arguments = (settings, max_episode_steps, _AUTORESET[mode], thread_count(threads))
+        self._settings = tuple(settings)
+        # The same text for the same settings: it is read once.
+        texts = [each.text for each in settings]
+        self._arguments = (texts, max_episode_steps, _AUTORESET[mode], thread_count(threads))
         self._core = _core.EpisodeBatch(*self._arguments)
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
@@ -180,6 +184,11 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         )
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    @property
+    def settings(self) -> tuple[EpisodeSettings, ...]:
+        """What the episodes of each sub-environment are made of."""
+        return self._settings
 
     _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
     _remedy = 'gym.make_vec("OctoArm-v0", ..., {}=...)'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import inspect
 import json
 import pickle
@@ -20,7 +21,7 @@ from gymnasium.utils.env_checker import data_equivalence as equivalent
 from gymnasium.wrappers import RescaleAction
 
 import octoarm_env
-from octoarm_env import ArmParameters, OctoArmEnv, TeacherPolicy, _core
+from octoarm_env import ArmParameters, EpisodeSettings, OctoArmEnv, TeacherPolicy, _core
 from octoarm_env.rendering.camera import Camera
 
 TARGETS = ["quadratic", "van_der_pol", "lissajous"]
@@ -341,6 +342,30 @@ def test_termination_reports_the_failure() -> None:
 def test_teacher_wants_this_environment() -> None:
     with pytest.raises(TypeError, match="OctoArm-v0"):
         TeacherPolicy(gym.make("CartPole-v1"))
+
+
+def test_settings_are_what_the_environment_was_made_with() -> None:
+    samples = 5.0 * np.stack([np.sin(np.arange(700) / 111), np.cos(np.arange(700) / 111)], 1)
+    env = OctoArmEnv(samples, arm={"compartments": 4}, reward_width=1, action_range=9)
+    settings = env.settings
+    assert settings.arm == ArmParameters(compartments=4)
+    assert (settings.amplitude, settings.action_range, settings.reward_width) == (None, 9.0, 1.0)
+    np.testing.assert_array_equal(settings.target, samples)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        settings.reward_width = 2.0
+    assert EpisodeSettings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
+    assert EpisodeSettings.from_dict({}) == OctoArmEnv().settings == EpisodeSettings()
+    again = gym.make("OctoArm-v0", **settings.to_dict()).unwrapped
+    assert again.settings == settings
+    assert hash(again.settings) == hash(settings)
+    observations = [each.reset(seed=3)[0] for each in (env, again)]
+    np.testing.assert_array_equal(*observations)
+    assert pickle.loads(pickle.dumps(env)).settings == settings
+
+    envs = gym.make_vec("OctoArm-v0", num_envs=2, target=["lissajous", "quadratic"])
+    assert [each.target for each in envs.settings] == ["lissajous", "quadratic"]
+    with pytest.raises(ValueError, match=r"unknown settings \['colour'\]; known are"):
+        EpisodeSettings.from_dict({"colour": 1})
 
 
 def test_defaults_are_those_of_the_episode_itself() -> None:

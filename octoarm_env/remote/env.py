@@ -15,6 +15,7 @@ from octoarm_env import _core
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.remote.connection import Connection
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
+from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
 
@@ -28,7 +29,7 @@ _OBSERVED = ("spring_lengths", "reward", *_INFO, "failure")
 class RemoteEpisode:
     """An episode in a world of its own on a server."""
 
-    def __init__(self, connection: Connection, settings: str) -> None:
+    def __init__(self, connection: Connection, settings: EpisodeSettings) -> None:
         self._connection = connection
         self.lock = connection.lock
         self.settings = settings
@@ -199,7 +200,7 @@ class RemoteOctoArm(OctoArmEnv):
     _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
     _remedy = 'gym.make("OctoArmRemote-v0", {}=...)'
 
-    def _episode(self, settings: str) -> RemoteEpisode:
+    def _episode(self, settings: EpisodeSettings) -> RemoteEpisode:
         address, token, certificate, timeout = self._server
         connection = Connection(address, token=token, certificate=certificate, timeout=timeout)
         try:
@@ -232,10 +233,10 @@ class RemoteOctoArm(OctoArmEnv):
         core.close()
 
 
-def _world_settings(settings: str) -> dict[str, Any]:
+def _world_settings(settings: EpisodeSettings) -> dict[str, Any]:
     """The settings of an episode as those of a world that does not end by itself."""
     world: dict[str, Any] = {"max_episode_steps": -1}
-    for name, value in json.loads(settings).items():
+    for name, value in settings.to_dict().items():
         if isinstance(value, dict):
             world |= {f"{name}.{field}": entry for field, entry in value.items()}
         elif value is not None:

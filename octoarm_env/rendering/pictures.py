@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -13,13 +12,13 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer, Sheet
     from octoarm_env.rendering.window import Window
+    from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["Pictures", "Subject", "render_fps", "warn_without_mode"]
 
@@ -59,7 +58,7 @@ class Pictures:
     """The pictures of one or more environments.
 
     Args:
-        settings: of each environment, as JSON text.
+        settings: of each environment.
         render_mode: None, or one of the next argument.
         render_modes: that there are.
         width: of a picture, 16 to 4096 [pixels].
@@ -73,7 +72,7 @@ class Pictures:
 
     def __init__(
         self,
-        settings: Sequence[str],
+        settings: Sequence[EpisodeSettings],
         render_mode: Any,
         render_modes: Sequence[str],
         width: Any,
@@ -153,14 +152,13 @@ class Pictures:
 
         if self._sheet is None:
             self._sheet = Sheet(self._size)
-        text = self._settings[index]
+        settings = self._settings[index]
+        text = settings.text
         if text not in self._renderers:
-            settings = json.loads(text)
-            target = settings["target"]
             self._renderers[text] = Renderer(
-                ArmParameters.from_dict(settings["arm"]),
+                settings.arm,
                 *subject.task(),
-                target if isinstance(target, str) else "own target",
+                settings.target if isinstance(settings.target, str) else "own target",
                 size=self._size,
                 camera=self._camera,
                 overlay=self._overlay,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -46,11 +45,9 @@ def inspect_env(env: Env) -> tuple[ArmParameters, dict[str, Any]]:
     arm_env = env.unwrapped if isinstance(env, gym.Env) else env
     if not isinstance(arm_env, OctoArmEnv):
         raise TypeError(f"env must be an {ENV_ID} environment, not {arm_env}")
-    # The one place that knows all the arguments it was made with, defaults included.
-    config = json.loads(arm_env._core.config)
     actual = {"amplitude": arm_env.amplitude, "action_range": arm_env.action_range}
-    settings = {name: actual.get(name, config[name]) for name in SETTINGS}
-    return ArmParameters.from_dict(config["arm"]), settings
+    settings = arm_env.settings.to_dict() | actual
+    return arm_env.settings.arm, {name: settings[name] for name in SETTINGS}
 
 
 def check_spaces(env: Env) -> None:
