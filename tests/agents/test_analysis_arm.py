@@ -103,7 +103,7 @@ def test_the_same_seed_gives_the_same_survey(survey):
 
 def test_the_command_writes_file_and_figure(octoarm, tmp_path):
     run = octoarm(
-        *("analyse", "arm", "--out", tmp_path, "--range", 5, "--hold", 0.01, "--samples", 450),
+        *("analyse", "arm", "--out", tmp_path, "--amplitude", 5, "--hold", 0.01, "--samples", 450),
         *("--max-delay", 10, "--delays", "10,4", "--washout", 20, "--axes", "theta"),
         *("--actuator", "servo", "--seed", 3),
     )
@@ -127,11 +127,11 @@ def test_the_command_writes_file_and_figure(octoarm, tmp_path):
 def test_leaving_the_domain_is_reported(octoarm, tmp_path):
     run = octoarm(
         *("analyse", "arm", "--arm", "inertial", "--out", tmp_path),
-        *("--range", 200, "--hold", 0.01),
+        *("--amplitude", 200, "--hold", 0.01),
     )
     assert run.exit_code == 1
     assert "Ended during recording: the arm left its domain" in run.stderr
-    assert "--range" in run.stderr
+    assert "--amplitude" in run.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -210,7 +210,7 @@ def test_every_sweep_can_be_drawn(survey, tmp_path, failures):
         (("--values", "1,2"), "only --sweep takes values"),
         (("--sweep", "drag", "--values", "1,0"), "expected positive numbers"),
         (("--sweep", "drag", "--values", "one"), "expected positive numbers"),
-        (("--range", 0), "0.0 is not between 0.001 and 360 degrees"),
+        (("--amplitude", 0), "0.0 is not between 0.001 and 360 degrees"),
         (("--samples", 10), "10 is not between 400 and"),
         (("--sweep", "colour"), "'colour' is not one of"),
     ],

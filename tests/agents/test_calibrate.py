@@ -485,4 +485,4 @@ def test_calibrate_cycle_tells_when_the_arm_cannot_follow(octoarm, tmp_path):
     assert run.exit_code == 2
     run = octoarm("calibrate", "cycle", "quadratic", "--out", tmp_path)
     assert run.exit_code == 2
-    assert "--range" in run.stderr
+    assert "--amplitude" in run.stderr

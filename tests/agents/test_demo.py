@@ -111,9 +111,9 @@ def test_without_a_burst_nothing_is_disturbed(octoarm, tmp_path):
 @pytest.mark.parametrize(
     ("options", "stage", "advice"),
     [
-        (("--target", "van_der_pol", "--range", 30, "--burst", 5), "disturbed", "--burst"),
-        (("--plain", "--range", 30), "alone", "calibrate"),
-        (("--range", 150), "teaching", "--range"),
+        (("--target", "van_der_pol", "--amplitude", 30, "--burst", 5), "disturbed", "--burst"),
+        (("--plain", "--amplitude", 30), "alone", "calibrate"),
+        (("--amplitude", 150), "teaching", "--amplitude"),
     ],
 )
 def test_leaving_the_domain_is_reported(octoarm, tmp_path, options, stage, advice):
@@ -138,7 +138,7 @@ def test_leaving_the_domain_is_reported(octoarm, tmp_path, options, stage, advic
 
 def test_an_arm_at_rest_does_not_hold_the_lissajous_curve(octoarm, tmp_path):
     """That curve passes through the origin, so that the distance alone is small at rest."""
-    options = ("--target", "lissajous", "--range", 2, "--noise", 4e-4, "--plain", "--burst", 0)
+    options = ("--target", "lissajous", "--amplitude", 2, "--noise", 4e-4, "--plain", "--burst", 0)
     run = octoarm("demo", "--out", tmp_path, "--steps", 60_000, *options)
     assert run.exit_code == 1
     scores = json.loads((tmp_path / "demo.json").read_text(encoding="utf-8"))["scores"]
@@ -150,7 +150,7 @@ def test_an_arm_at_rest_does_not_hold_the_lissajous_curve(octoarm, tmp_path):
 def test_another_body_is_read_from_a_file(octoarm, tmp_path):
     body = tmp_path / "body.json"
     octoarm_env.ArmParameters(arm_density=1042.0).to_json(body)
-    octoarm("demo", "--out", tmp_path, "--arm", body, "--range", 150)
+    octoarm("demo", "--out", tmp_path, "--arm", body, "--amplitude", 150)
     content = json.loads((tmp_path / "demo.json").read_text(encoding="utf-8"))
     assert content["body"]["arm_density"] == 1042.0
 
@@ -158,8 +158,8 @@ def test_another_body_is_read_from_a_file(octoarm, tmp_path):
 @pytest.mark.parametrize(
     ("option", "value", "allowed"),
     [
-        ("--range", "-30", "between 0.1 and 360 degrees"),
-        ("--range", "nan", "between 0.1 and 360 degrees"),
+        ("--amplitude", "-30", "between 0.1 and 360 degrees"),
+        ("--amplitude", "nan", "between 0.1 and 360 degrees"),
         ("--noise", "-1e-5", "between 0 and 0.01 metres"),
         ("--burst", "inf", "between 0 and 360 degrees"),
         ("--steps", "5", "between 12,000 and 10,000,000"),

@@ -201,7 +201,7 @@ def test_table2(octoarm, tmp_path):
 
 
 def test_a_trial_that_fails_is_reported(octoarm, tmp_path):
-    options = ("--trials", 1, "--jobs", 1, "--range", 200, "--out", tmp_path)
+    options = ("--trials", 1, "--jobs", 1, "--amplitude", 200, "--out", tmp_path)
     run = octoarm("reproduce", "table2", *options, "--arm", "inertial")
     assert run.exit_code == 0, run.output
     assert "Trial 0 failed" in run.stdout
@@ -255,7 +255,7 @@ def test_figure4(octoarm, tmp_path, drive, lengths):
 
 
 def test_figure5a_at_one_range(octoarm, tmp_path):
-    options = ("--trials", 2, "--range", 30, "--out", tmp_path)
+    options = ("--trials", 2, "--amplitude", 30, "--out", tmp_path)
     run = octoarm("reproduce", "figure5a", *options, "--jobs", 1)
     assert run.exit_code == 0, run.output
     content = read_result(tmp_path, "figure5a")

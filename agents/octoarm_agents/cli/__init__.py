@@ -29,30 +29,30 @@ __all__ = ["app", "main"]
 
 app = typer.Typer(
     name="octoarm",
-    help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir: demonstration, "
-    "the paper's results, calibration, analysis, training of networks, comparison, "
-    "pictures and films, benchmark, server.",
+    help="The soft robotic octopus arm of Nakajima et al. (2013) as a reservoir.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("demo")(demo.demo)
-app.command("benchmark")(benchmark.benchmark)
-app.command("reproduce")(reproduce.reproduce)
-app.command("train")(train.train)
-app.command("evaluate")(evaluate.evaluate)
-app.command("watch")(watch.watch)
-app.command("record")(record.record)
-app.command("inspect")(inspect.inspect)
+
+LEARN, SEE, BODY, SERVE = "Learn", "See", "The body", "Serve and time"
+
+app.command(rich_help_panel=LEARN)(train.train)
+app.command(rich_help_panel=LEARN)(tune.tune)
+app.command(rich_help_panel=LEARN)(evaluate.evaluate)
+app.command(rich_help_panel=LEARN)(compare.compare)
+app.command(rich_help_panel=SEE)(watch.watch)
+app.command(rich_help_panel=SEE)(record.record)
+app.command(rich_help_panel=SEE)(inspect.inspect)
+app.command(rich_help_panel=BODY)(demo.demo)
+app.command(rich_help_panel=BODY)(reproduce.reproduce)
+app.add_typer(analyse.app, name="analyse", rich_help_panel=BODY)
+app.add_typer(calibrate.app, name="calibrate", rich_help_panel=BODY)
 app.command(
-    "serve",
+    rich_help_panel=SERVE,
     add_help_option=False,
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )(serve.serve)
-app.command("compare")(compare.compare)
-app.command("tune")(tune.tune)
-app.add_typer(analyse.app, name="analyse")
-app.add_typer(calibrate.app, name="calibrate")
+app.command(rich_help_panel=SERVE)(benchmark.benchmark)
 
 
 def _print_version(wanted: bool) -> None:

@@ -225,7 +225,7 @@ def arm(
     amplitude: Annotated[
         float,
         typer.Option(
-            "--range",
+            "--amplitude",
             "-R",
             help="R: angle of an input of 1 in degrees.",
             callback=number_between(0.001, 360.0, "degrees"),
@@ -358,7 +358,7 @@ def _survey(console: Console, parameters: Any, settings: SurveySettings, out: Pa
             result = survey_arm(parameters, settings, note)
     except DomainError as error:
         typer.echo(f"Ended during {stages[-1]}: {error}.", err=True)
-        typer.echo("The input is too much for this body: try a smaller --range.", err=True)
+        typer.echo("The input is too much for this body: try a smaller --amplitude.", err=True)
         raise typer.Exit(1) from None
     write_json(out / "analysis.json", result.to_dict() | _computed_with())
     write_atomically(out / "analysis.png", draw_analysis(result.measures, result).savefig)

@@ -269,7 +269,7 @@ def cycle(
     amplitude: Annotated[
         float,
         typer.Option(
-            "--range",
+            "--amplitude",
             "-R",
             help="R: largest angle of the target in degrees.",
             callback=number_between(0.1, LARGEST_RANGE, "degrees"),
@@ -343,7 +343,7 @@ def cycle(
             )
     except DomainError as error:
         typer.echo(f"The arm cannot follow the teacher: {error}.", err=True)
-        typer.echo("Try a smaller --range.", err=True)
+        typer.echo("Try a smaller --amplitude.", err=True)
         raise typer.Exit(1) from None
     except ValueError as error:  # a body without a static equilibrium
         raise typer.BadParameter(str(error), param_hint="'--arm'") from None

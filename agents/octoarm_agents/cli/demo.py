@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 _ADVICE = {
-    "teaching": "The target itself is too much for this body: try a smaller --range.",
-    "swinging in": "The target itself is too much for this body: try a smaller --range.",
+    "teaching": "The target itself is too much for this body: try a smaller --amplitude.",
+    "swinging in": "The target itself is too much for this body: try a smaller --amplitude.",
     "alone": "The readout does not hold this cycle: search for one with octoarm calibrate cycle.",
     "disturbed": "The noise is too strong: try a smaller --burst.",
     "alone again": "The arm did not come back from the noise: try a smaller --burst.",
@@ -43,7 +43,7 @@ def demo(
     amplitude: Annotated[
         float | None,
         typer.Option(
-            "--range",
+            "--amplitude",
             "-R",
             help="R: largest angle of the target in degrees.",
             show_default="the cycle's own",

@@ -65,7 +65,7 @@ def reproduce(
     amplitude: Annotated[
         float | None,
         typer.Option(
-            "--range",
+            "--amplitude",
             "-R",
             help="R: largest angle of the base in degrees, where the experiment has one.",
             show_default="the experiment's own",

@@ -79,10 +79,10 @@ def train(
     amplitude: Annotated[
         float | None,
         typer.Option(
-            "--range",
+            "--amplitude",
             "-R",
             help="R: largest angle of the target in degrees.",
-            show_default="20",
+            show_default="the paper's",
             callback=number_between(0.1, 360.0, "degrees"),
         ),
     ] = None,

@@ -41,7 +41,7 @@ AROUND = 5.0
 
 
 def run(context: Context) -> dict[str, Any]:
-    """Errors at each R, without and with noise; ``--range`` restricts the grid to that R."""
+    """Errors at each R, without and with noise; ``--amplitude`` restricts the grid to that R."""
     check_timestep(context.parameters)
     assert context.trials is not None
     ranges = RANGES if context.amplitude is None else (context.amplitude,)

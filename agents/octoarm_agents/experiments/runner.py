@@ -97,7 +97,7 @@ class Context:
         """What a result was computed with: settings, body, versions, machine and command."""
         command = f"octoarm reproduce {name} --trials {self.trials} --seed {self.seed}"
         if self.amplitude is not None:
-            command += f" --range {self.amplitude:g}"
+            command += f" --amplitude {self.amplitude:g}"
         if self.steps is not None:
             command += f" --steps {self.steps}"
         if self.parameters != ArmParameters():

@@ -86,7 +86,7 @@ def teach_cycles(
     targets: Iterable[str] | None = None,
     trainings: Sequence[str] = TRAININGS,
 ) -> dict[str, dict[str, list[TaughtCycle]]]:
-    """Teach limit cycles as `CYCLES` says; ``--range`` replaces R.
+    """Teach limit cycles as `CYCLES` says; ``--amplitude`` replaces R.
 
     Args:
         context: of the experiment; its seed shifts those of the teachings.
