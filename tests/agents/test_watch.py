@@ -1,4 +1,4 @@
-"""`octoarm watch`: the drawing, and that what is drawn is what an evaluation would measure."""
+"""`octoarm watch`: the terminal, and that what is shown is what an evaluation would measure."""
 
 import itertools
 import os
@@ -7,28 +7,18 @@ import signal
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import typer
+from octoarm_agents.cli.pictures import make_renderer
 from octoarm_agents.cli.watch import watch
-from octoarm_agents.cli.watch_terminal import TerminalEpisode, _Pace
+from octoarm_agents.cli.watch_terminal import UPPER_HALF, _Pace, _Show, half_blocks
 from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy, save_network
+from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise, Push
-from octoarm_agents.policies.terminal import (
-    LARGEST,
-    Canvas,
-    Moment,
-    Scene,
-    draw_frame,
-    phase_portrait,
-    round_up,
-    side_view,
-    strain_strip,
-)
 from octoarm_agents.reservoir import train_policy
 from rich.console import Console
 from typer.testing import CliRunner
@@ -110,7 +100,7 @@ def make_episode(file, **settings):
     policy = load_policy(file)
     steps = settings.setdefault("steps", 200)
     env = gym.make("OctoArm-v0", max_episode_steps=steps, arm=policy.parameters, **policy.settings)
-    return TerminalEpisode("title", policy, env, **{"seed": 0} | settings)
+    return Episode(policy, env, **{"seed": 0} | settings)
 
 
 def play(episode):
@@ -119,231 +109,56 @@ def play(episode):
     return episode
 
 
-@pytest.fixture(scope="module")
-def scene_and_moment(agents):
-    """The scene of an episode, and the moment in which a push ends."""
-    episode = make_episode(agents["readout"], push=15.0)
-    while episode.steps_made < 119:
-        episode.step()
-    return episode.scene, episode.moment("1×")
+def renderer_of(episode, size):
+    return make_renderer(episode, "title", size, "perspective", 1.0, 1.0, overlay=False)
 
 
-def plain(lines):
-    return [line.plain for line in lines]
+def shown(frame, width, height):
+    """The lines of a frame as a console of this size prints it."""
+    console = Console(width=width, height=height, color_system="truecolor", force_terminal=True)
+    with console.capture() as capture:
+        console.print(frame)
+    return capture.get().splitlines()
 
 
-class TestCanvas:
-    @pytest.mark.parametrize(
-        ("column", "row", "symbol"),
-        [(index // 4, index % 4, symbol) for index, symbol in enumerate("⠁⠂⠄⡀⠈⠐⠠⢀")],
-    )
-    def test_each_dot_of_a_cell(self, column, row, symbol):
-        canvas = Canvas(3, 2, 0, 5, 0, 7)
-        canvas.points(2 + column, 4 + row, "red")
-        assert plain(canvas.lines()) == ["   ", f" {symbol} "]
+class TestPicture:
+    def test_upper_and_lower_pixels_are_the_two_colours_of_a_cell(self):
+        picture = np.zeros((4, 3, 3), dtype=np.uint8)
+        picture[0, 1], picture[1, 1], picture[3, 2] = (255, 0, 8), (0, 160, 0), (0, 0, 80)
+        cells = [segment for segment in half_blocks(picture).segments if segment.text != "\n"]
+        assert [segment.text for segment in cells] == [UPPER_HALF] * 6
+        colours = [
+            (segment.style.color.triplet, segment.style.bgcolor.triplet) for segment in cells
+        ]
+        # Colours that differ by less than 8 are one.
+        assert colours[1] == ((248, 0, 8), (0, 160, 0))
+        assert colours[5] == ((0, 0, 0), (0, 0, 80))
+        assert colours[0] == colours[2] == colours[3] == ((0, 0, 0), (0, 0, 0))
 
-    def test_coordinates_of_the_data(self):
-        canvas = Canvas(10, 5, -1.0, 1.0, 3.0, -3.0)
-        assert canvas.cell(-1, 3) == (0, 0)
-        assert canvas.cell(1, 3) == (0, 9)
-        assert canvas.cell(-1, -3) == (4, 0)
-        assert canvas.cell(1.2, 0) is None
-        assert canvas.dot == pytest.approx((2 / 19, 6 / 19))
-
-    def test_dots_add_up_and_a_later_style_covers(self):
-        canvas = Canvas(1, 1, 0, 1, 0, 3)
-        canvas.points([0, 1], [0, 3], "red")
-        assert plain(canvas.lines()) == ["⢁"]
-        canvas.points(0, 1, "blue")
-        (line,) = canvas.lines()
-        assert line.plain == "⠂"
-        assert [span.style for span in line.spans] == ["blue"]
-
-    def test_a_line_has_no_gaps(self):
-        canvas = Canvas(8, 1, 0, 15, 0, 3)
-        canvas.line([0, 15], [1, 1], "red")
-        assert plain(canvas.lines()) == ["⠒" * 8]
-        dotted = Canvas(8, 1, 0, 15, 0, 3)
-        dotted.line([0, 15], [1, 1], "red", every=2)
-        assert plain(dotted.lines()) == ["⠂" * 8]
-
-    def test_what_lies_outside_is_left_out(self):
-        canvas = Canvas(4, 2, 0, 7, 0, 7)
-        canvas.points([-3, 9, np.nan, 2], [0, 0, 0, -5], "red")
-        canvas.line([1e300, 1e300], [-1e300, 1e300], "red")
-        canvas.line([np.nan], [0.0], "red")
-        canvas.mark(8, 0, "x", "red")
-        assert plain(canvas.lines()) == [" " * 4] * 2
-        canvas.line([-1e9, 1e9], [0, 0], "red")
-        assert plain(canvas.lines()) == ["⠉" * 4, " " * 4]
-
-    def test_marks_replace_cells(self):
-        canvas = Canvas(3, 1, 0, 5, 0, 3)
-        canvas.mark(3, 2, "●", "red")
-        canvas.points([0, 2], [0, 0], "blue")
-        assert plain(canvas.lines()) == ["⠁● "]
-
-    @pytest.mark.parametrize(
-        "arguments",
-        [(0, 1, 0, 1, 0, 1), (1, 0, 0, 1, 0, 1), (1, 1, 2, 2, 0, 1), (1, 1, 0, np.inf, 0, 1)],
-    )
-    def test_no_room_is_refused(self, arguments):
-        with pytest.raises(ValueError, match="expected"):
-            Canvas(*arguments)
-
-
-class TestPortrait:
-    def test_base_target_and_orbit_are_where_they_should_be(self, scene_and_moment):
-        scene, moment = scene_and_moment
-        canvas = phase_portrait(scene, moment, 50, 24)
-        lines = plain(canvas.lines())
-        for point, symbol in ((moment.trace[-1], "●"), (moment.target, "○")):
-            row, column = canvas.cell(*point)
-            assert lines[row][column] == symbol
-        assert sum(line.count("●") + line.count("◉") for line in lines) == 1
-        assert canvas.dot[0] == pytest.approx(canvas.dot[1])
-        cells = {canvas.cell(*point) for point in scene.orbit[::20]}
-        shown = [lines[row][column] != " " for row, column in cells]
-        assert np.mean(shown) > 0.9
-
-    def test_one_marker_for_both_where_they_meet(self, scene_and_moment):
-        scene, moment = scene_and_moment
-        met = replace(moment, target=moment.trace[-1])
-        lines = plain(phase_portrait(scene, met, 50, 24).lines())
-        assert sum(line.count("◉") for line in lines) == 1
-        assert not any("○" in line or "●" in line for line in lines)
-
-    def test_the_orbit_is_dotted_and_the_trace_bright(self, scene_and_moment):
-        scene, moment = scene_and_moment
-        begin = replace(moment, trace=moment.trace[:1])
-        counts = {}
-        for name, shown in (("begin", begin), ("late", moment)):
-            styles = [
-                str(span.style)
-                for line in phase_portrait(scene, shown, 50, 24).lines()
-                for span in line.spans
-            ]
-            counts[name] = styles.count("yellow"), styles.count("bright_cyan")
-        assert counts["begin"][0] > 50
-        assert counts["begin"][1] <= 1
-        assert counts["late"][1] > 20
-
-    def test_a_base_far_away_is_still_in_view(self, scene_and_moment):
-        scene, moment = scene_and_moment
-        away = replace(moment, trace=np.array([[0.0, 0.0], [150.0, -80.0]]))
-        lines = plain(phase_portrait(scene, away, 30, 15).lines())
-        assert sum(line.count("●") for line in lines) == 1
-
-
-class TestArm:
-    def test_base_and_arm_are_where_they_should_be(self, scene_and_moment):
-        scene, moment = scene_and_moment
-        canvas = side_view(scene, moment, 42, 18)
-        lines = plain(canvas.lines())
-        row, _ = canvas.cell(0.0, 0.0)
-        assert "┳" in lines[row]
-        for x, _, depth in moment.arm[2:]:
-            row, column = canvas.cell(x, depth)
-            assert lines[row][column] != " "
-
-    def test_the_strip(self):
-        strains = np.zeros(80)
-        strains[0], strains[5], strains[79] = 0.1, -0.2, 0.05
-        lines = strain_strip(strains, 0.1, 45, colour=False)
-        rows = plain(lines)
-        assert rows[0] == "▇▇" + "▄" * 38
-        assert rows[1] == "▄▄▁▁" + "▄" * 36
-        assert rows[2] == "▄" * 40
-        assert rows[3] == "▄" * 38 + "▆▆"
-
-    def test_the_colours_of_the_strip(self):
-        strains = np.zeros(80)
-        strains[0], strains[4], strains[8] = 1.0, -1.0, 0.0
-        line = strain_strip(strains, 0.1, 20)[0]
-        assert line.plain == " " * 20
-        red, blue, neutral = (span.style.bgcolor.triplet for span in line.spans[:3])
-        assert red.red > 200 > red.blue
-        assert blue.blue > 200 > blue.red
-        assert max(neutral) < 60
-
-    def test_too_many_compartments_are_put_together(self):
-        strains = np.zeros(4 * 200)
-        strains[4 * 150] = -1.0
-        rows = plain(strain_strip(strains, 1.0, 20, colour=False))
-        assert [len(row) for row in rows] == [20] * 4
-        assert rows[0] == "▄" * 15 + "▁" + "▄" * 4
-        assert rows[1] == "▄" * 20
-
-    @pytest.mark.parametrize(
-        ("value", "rounded"), [(1.0, 1.0), (1.2, 1.5), (0.021, 0.03), (760.0, 1000.0), (8e-4, 1e-3)]
-    )
-    def test_round_up(self, value, rounded):
-        assert round_up(value) == pytest.approx(rounded)
-
-
-class TestFrame:
     @pytest.mark.parametrize(("width", "height"), SIZES)
-    @pytest.mark.parametrize("colour", [True, False])
-    def test_it_never_exceeds_its_room(self, scene_and_moment, width, height, colour):
-        frame = draw_frame(*scene_and_moment, width, height, colour=colour)
-        lines = frame.plain.split("\n")
-        assert 1 <= len(lines) <= height
-        console = Console(width=width)
-        assert max(len(line) for line in lines) <= width
-        assert all(line.cell_len <= width for line in frame.split("\n"))
-        with console.capture() as capture:
-            console.print(frame)
-        # Nothing is wrapped on the way to the terminal.
-        assert len(capture.get().rstrip("\n").split("\n")) == len(frame.plain.rstrip().split("\n"))
+    def test_it_never_exceeds_its_room(self, agents, width, height):
+        show = _Show(make_episode(agents["readout"], push=15.0), renderer_of)
+        for _ in range(119):
+            show.step()
+        plain = [re.sub(r"\x1b\[[\d;]*m", "", line) for line in show_lines(show, width, height)]
+        assert 1 <= len(plain) <= height
+        assert max(len(line) for line in plain) <= width
+        drawn = width >= 16 and height >= 9
+        assert (len(plain) == min(height, 50)) == (drawn or height == 1)
+        assert any(UPPER_HALF in line for line in plain) == drawn
+        assert "PUSHED" in plain[-1] or width < 80
 
-    def test_a_huge_terminal_is_not_filled(self, scene_and_moment):
-        lines = draw_frame(*scene_and_moment, 500, 200).plain.split("\n")
-        assert (max(len(line) for line in lines), len(lines)) == LARGEST
+    def test_the_arm_is_in_it_and_moves(self, agents):
+        show = _Show(make_episode(agents["readout"]), renderer_of)
+        first = show_lines(show, 80, 24)
+        assert len(set(first[:-1])) > 5
+        for _ in range(30):
+            show.step()
+        assert show_lines(show, 80, 24)[:-1] != first[:-1]
 
-    @pytest.mark.parametrize(("width", "height"), [(100, 30), (80, 24)])
-    def test_an_ordinary_terminal_shows_everything(self, scene_and_moment, width, height):
-        scene, moment = scene_and_moment
-        text = draw_frame(scene, moment, width, height, colour=False).plain
-        assert len(text.split("\n")) == height
-        for part in ("θ →", "φ ↑", "● base", "○ target", "depth ↓", "spring lengths", "PUSHED"):
-            assert part in text
-        for part in ("1.19 of 2.00 s", "of 119 (", f"{moment.error:.2f}°", "off the orbit", "1×"):
-            assert part in text
-        assert re.search(r"-(\d+)% ▁▂▃▄▅▆▇ \+\1%", text)
 
-    def test_the_least_that_a_small_one_shows(self, scene_and_moment):
-        text = draw_frame(*scene_and_moment, 40, 12).plain
-        assert "◉" in text or ("●" in text and "○" in text)
-        for part in ("┳", "time 1.19 of 2.00 s", "error", "orbit", "PUSHED"):
-            assert part in text
-
-    @pytest.mark.parametrize("size", [(0, 10), (10, 0)])
-    def test_no_room_is_refused(self, scene_and_moment, size):
-        with pytest.raises(ValueError, match="expected at least 1"):
-            draw_frame(*scene_and_moment, *size)
-
-    @pytest.mark.parametrize("compartments", [1, 7, 200])
-    @pytest.mark.parametrize(("width", "height"), SIZES)
-    def test_other_bodies(self, scene_and_moment, compartments, width, height):
-        moment = scene_and_moment[1]
-        depths = np.linspace(0, 0.02 * compartments, compartments + 1)
-        arm = np.stack((np.zeros_like(depths), np.zeros_like(depths), depths), axis=1)
-        other = replace(
-            moment,
-            arm=arm,
-            sway=arm[:, [0, 0]].T,
-            reach=0.0,
-            strain=0.0,
-            lengths=np.full(4 * compartments, 0.02),
-        )
-        assert draw_frame(scene_and_moment[0], other, width, height).plain
-
-    def test_a_still_base_on_a_point(self, scene_and_moment):
-        _, moment = scene_and_moment
-        scene = Scene("still", np.zeros((8, 2)), 0.02, 1.0, 100.0)
-        still = replace(moment, trace=np.zeros((1, 2)), target=np.zeros(2), possible=0.0)
-        assert isinstance(still, Moment)
-        assert "◉" in draw_frame(scene, still, 80, 24).plain
+def show_lines(show, width, height):
+    return shown(show.frame(width, height, "1×"), width, height)
 
 
 class TestEpisode:
@@ -366,9 +181,8 @@ class TestEpisode:
         )
         expected.pop("returns")
         assert episode.figures() == expected
-        moment = episode.moment("")
-        assert moment.earned == pytest.approx(expected["return"])
-        assert (moment.time, moment.possible) == (pytest.approx(3.0), 300)
+        assert episode.earned == pytest.approx(expected["return"])
+        assert episode.time == pytest.approx(3.0)
 
     def test_memory_is_carried_and_emptied(self, agents):
         """The state given back is handed in again; the episode starts once."""
@@ -399,7 +213,7 @@ class TestEpisode:
     def test_the_push_is_shown_while_it_lasts(self, agents):
         episode, shown = make_episode(agents["readout"], push=5.0), []
         while not episode.ended:
-            if episode.moment("").disturbance:
+            if episode.disturbances:
                 shown.append(episode.steps_made)
             episode.step()
         assert shown == list(range(100, 120))
@@ -407,21 +221,12 @@ class TestEpisode:
     def test_the_push_is_timed_in_seconds(self):
         policy = train_policy({"control_period": 0.02}, steps=300)
         env = gym.make("OctoArm-v0", max_episode_steps=80, **policy.settings)
-        episode, shown = TerminalEpisode("", policy, env, seed=0, steps=80, push=5.0), []
+        episode, shown = Episode(policy, env, seed=0, steps=80, push=5.0), []
         while not episode.ended:
-            if episode.moment("").disturbance:
+            if episode.disturbances:
                 shown.append(episode.steps_made)
             episode.step()
         assert shown == list(range(50, 60))
-
-    def test_the_trace_is_of_two_seconds(self, agents):
-        episode = make_episode(agents["readout"], steps=300)
-        assert len(episode.moment("").trace) == 1
-        moment = play(episode).moment("")
-        assert len(moment.trace) == 200
-        assert np.all(moment.sway[0] <= moment.arm[:, 0])
-        assert np.all(moment.sway[1] >= moment.arm[:, 0])
-        np.testing.assert_array_equal(moment.trace[-1], episode.info["base_angles"])
 
     def test_an_arm_that_leaves_its_domain_ends_the_episode(self, agents):
         episode = make_episode(agents["readout"])
@@ -441,16 +246,15 @@ class TestEpisode:
         assert episode.steps_made == 30
         assert episode.figures()["survival"] == 0
         assert "left its domain after 0.30 s: height of compartment 1" in episode.report()
-        text = draw_frame(episode.scene, episode.moment(""), 80, 24).plain
-        assert "LEFT ITS DOMAIN" in text
+        assert "LEFT ITS DOMAIN" in show_lines(_Show(episode, renderer_of), 100, 24)[-1]
 
 
 class TestCommand:
-    def test_a_pipe_gets_the_last_frames_and_the_figures(self, run, agents):
+    def test_a_pipe_gets_the_figures(self, run, agents):
         result = run("--episodes", 2, "--seed", 3, "--steps", 120)
         assert result.exit_code == 0, result.output
         assert "\x1b" not in result.stdout
-        assert result.stdout.count("1.20 of 1.20 s") == 2
+        assert len(result.stdout.splitlines()) == 2
         policy = load_policy(agents["readout"])
         for seed in (3, 4):
             figures = evaluate_policy(policy, policy, episodes=1, steps=120, seed=seed)
@@ -459,14 +263,6 @@ class TestCommand:
                 f"error {figures['tracking_error']:.3f}°, "
                 f"orbit distance {figures['orbit_distance']:.4f}, period "
             ) in result.stdout
-
-    @pytest.mark.parametrize(("columns", "lines"), [(100, 31), (80, 24), (40, 12), (10, 4)])
-    def test_frames_fit_the_console(self, run, columns, lines):
-        result = run("--steps", 20, columns=columns, lines=lines)
-        assert result.exit_code == 0, result.output
-        frame = result.stdout.split("seed 0: return")[0].rstrip("\n").split("\n")
-        assert len(frame) < lines
-        assert max(len(line) for line in frame) <= columns
 
     def test_a_pipe_stays_a_pipe_where_colours_are_forced(self, run, monkeypatch):
         monkeypatch.setenv("FORCE_COLOR", "1")
@@ -477,7 +273,7 @@ class TestCommand:
     def test_an_agent_with_memory(self, run, agents):
         result = run("--steps", 50, policy=agents["recurrent"])
         assert result.exit_code == 0, result.output
-        assert "of 50 (" in result.stdout
+        assert "return " in result.stdout
 
     def test_push_and_noise_lower_the_return(self, run):
         earned = [
@@ -546,7 +342,7 @@ class TestCommand:
         assert "--arm" in result.stderr
         assert "Traceback" not in result.output
 
-    def test_an_encoding_without_braille_is_named(self, agents):
+    def test_an_encoding_without_half_blocks_is_named(self, agents):
         code = "import sys, typer\nfrom octoarm_agents.cli.watch import watch\ntyper.run(watch)"
         result = subprocess.run(
             [sys.executable, "-c", code, agents["readout"], "--steps", "10"],
@@ -635,7 +431,8 @@ def watch_in_a_terminal(arguments, *, interrupt_at=None):
             if interrupt_at is not None and not interrupted and interrupt_at in written:
                 process.send_signal(signal.SIGINT)
                 interrupted = True
-        return process.wait(), written.decode()
+        # An interrupt may cut a character in two.
+        return process.wait(), written.decode(errors="replace")
     finally:
         timer.cancel()
         os.close(ours)
@@ -647,14 +444,14 @@ class TestTerminal:
         assert status == 0, written
         shown, after = written.split("\x1b[?1049l")
         assert "\x1b[?1049h" in shown
-        assert shown.count("╰─") > 5
+        assert shown.count(UPPER_HALF) > 5 * 79 * 22
         assert "seed 0: return" in after
         assert "1.00 of 1.00 s" in after
         assert "\x1b[?25h" in written
 
     def test_ctrl_c_ends_it(self, agents):
         status, written = watch_in_a_terminal(
-            [agents["readout"], "--steps", 100_000], interrupt_at="╰─".encode()
+            [agents["readout"], "--steps", 100_000], interrupt_at=UPPER_HALF.encode()
         )
         assert status == 0, written
         assert "\x1b[?1049l" in written

@@ -109,12 +109,10 @@ def watch(
     all keys. Without POLICY drag with the left button to swing the arm, with the right one to
     look around.
 
-    In the terminal: on the left the base: its angles, where they were in the last two seconds, and
-    the orbit that they are to follow. On the right the arm from the side, above the strain of its
-    80 springs: blue where they are shorter than at rest, red where they are longer.
+    In the terminal: the same picture in half blocks, and the figures of the episode below.
 
-    Where standard output is no terminal and there is no window, nothing waits: the last frame of
-    each episode and its figures are printed. Ctrl-C ends the show.
+    Where standard output is no terminal with colours and there is no window, nothing waits: the
+    figures of each episode are printed. Ctrl-C ends the show.
     """
     if policy is None:
         if view == "terminal":
@@ -142,7 +140,7 @@ def watch(
             typer.echo(f"{reason}.", err=True)
             if needs_window:
                 raise typer.Exit(1)
-        _watch_terminal(actor, episodes, seed, speed, settings)
+        _watch_terminal(actor, episodes, seed, speed, settings, (camera, zoom, exaggeration))
     except KeyboardInterrupt:
         typer.echo("Stopped.")
 
@@ -200,30 +198,42 @@ def _watch_window(
 
 
 def _watch_terminal(
-    actor: Actor, episodes: int, seed: int, speed: float, settings: dict[str, Any]
+    actor: Actor,
+    episodes: int,
+    seed: int,
+    speed: float,
+    settings: dict[str, Any],
+    picture: tuple[str, float, float],
 ) -> None:
     from rich.console import Console
 
-    from octoarm_agents.cli.watch_terminal import TerminalEpisode, show_in_terminal
+    from octoarm_agents.cli.watch_terminal import UPPER_HALF, show_in_terminal
+    from octoarm_agents.policies.episode import Episode
 
     console = Console(highlight=False)
-    _check_encoding(console)
+    _check_encoding(console, UPPER_HALF)
     env = actor.make_env(settings["steps"])
 
-    def played() -> Iterator[TerminalEpisode]:
+    camera, zoom, exaggeration = picture
+
+    def renderer_of(episode: Episode, size: tuple[int, int]) -> Any:
+        # Few pixels: the arm fills them.
+        closer = (camera, 1.7 * zoom, exaggeration)
+        return make_renderer(episode, actor.name, size, *closer, overlay=False)
+
+    def played() -> Iterator[Episode]:
         for index in range(episodes):
-            title = f"{actor.name} · episode {index + 1} of {episodes} · seed {seed + index}"
-            yield TerminalEpisode(title, actor.policy, env, seed=seed + index, **settings)
+            yield Episode(actor.policy or "hold", env, seed=seed + index, **settings)
 
     try:
-        show_in_terminal(console, played(), speed)
+        show_in_terminal(console, played(), renderer_of, speed)
     finally:
         env.close()
 
 
-def _check_encoding(console: Console) -> None:
+def _check_encoding(console: Console, needed: str) -> None:
     try:
-        "⣿●".encode(console.encoding)
+        needed.encode(console.encoding)
     except (UnicodeEncodeError, LookupError):
         typer.echo(
             f"Standard output is {console.encoding}, which cannot show the arm: "

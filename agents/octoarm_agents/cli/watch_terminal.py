@@ -1,104 +1,138 @@
-"""The show of `octoarm watch` in the terminal."""
+"""The show of `octoarm watch` in the terminal: the picture of the window, in half blocks."""
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
-from rich.console import Console
+from rich.color import Color
+from rich.console import Console, Group
 from rich.live import Live
+from rich.segment import Segment, Segments
+from rich.style import Style
 from rich.text import Text
 
 from octoarm_agents.policies.episode import Episode
-from octoarm_agents.policies.terminal import Moment, Scene, draw_frame
-from octoarm_agents.reservoir.orbit import orbit_distance
-from octoarm_env.rendering.history import LATE
+from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Float = NDArray[np.float64]
+    from octoarm_env.rendering.renderer import Renderer
 
-__all__ = ["TerminalEpisode", "show_in_terminal"]
+__all__ = ["UPPER_HALF", "half_blocks", "show_in_terminal"]
 
+UPPER_HALF = "▀"
+
+_LARGEST = (160, 50)
+"""Columns and lines that a frame takes at most, however large the terminal."""
+_SMALLEST = (16, 8)
+"""Columns and lines that a picture needs; below there are figures alone."""
+_SHARPNESS = 4
+"""Pixels of the picture for one of the terminal, along a side."""
 _FRAME_TIME = 0.04
 """Least time between frames [s]."""
 
 
-class TerminalEpisode(Episode):
-    """An episode that remembers what the terminal shows of it.
+@functools.lru_cache(maxsize=1 << 14)
+def _style(upper: tuple[int, int, int], lower: tuple[int, int, int]) -> Style:
+    return Style(color=Color.from_rgb(*upper), bgcolor=Color.from_rgb(*lower))
+
+
+def half_blocks(picture: NDArray[np.uint8]) -> Segments:
+    """Give a picture as characters, whose colour is the upper half of a cell, and ground the lower.
 
     Args:
-        title: of the frames.
-        *arguments: as for `Episode`.
-        **settings: as for `Episode`.
+        picture: (2 lines, columns, 3).
+    """
+    # Fewer colours than eyes tell apart, so that styles are found again.
+    coarse = (picture // 8 * 8).tolist()
+    segments: list[Segment] = []
+    for upper, lower in zip(coarse[::2], coarse[1::2], strict=True):
+        for pair in zip(upper, lower, strict=True):
+            segments.append(Segment(UPPER_HALF, _style(tuple(pair[0]), tuple(pair[1]))))
+        segments.append(Segment.line())
+    return Segments(segments)
+
+
+class _Show:
+    """An episode, and what the terminal shows of it.
+
+    Args:
+        episode: that is shown.
+        renderer_of: makes what draws it in a size, (width, height) [pixels].
     """
 
-    def __init__(self, title: str, *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        duration = self.steps * self.period
-        rest_length = self.parameters.rest_length
-        self.scene = Scene(title, self.arm_env.orbit, rest_length, duration, self.steps)
-        late = max(2, round(LATE / self.period))
-        self._trace: deque[Float] = deque(maxlen=late)
-        self._shapes: deque[Float] = deque(maxlen=late)
-        self._reach = self._strain = 0.0
-        self._remember()
+    def __init__(
+        self, episode: Episode, renderer_of: Callable[[Episode, tuple[int, int]], Renderer]
+    ) -> None:
+        self.episode, self._renderer_of = episode, renderer_of
+        self._renderer: Renderer | None = None
+        self._history = History(episode.period)
+        self._history.begin(episode.info)
 
     def step(self) -> None:
         """Let the agent act once."""
-        super().step()
-        self._remember()
+        self._history.disturbances = self.episode.disturbances
+        self.episode.step()
+        self._history.add(self.episode.info, self.episode.reward)
 
-    def moment(self, speed: str) -> Moment:
-        """What is to be seen now; `speed` is that of the show, in words."""
-        trace, shapes = np.array(self._trace), np.array(self._shapes)
-        alarms = [*self.disturbances, *(["left its domain"] if self.failure else [])]
-        return Moment(
-            time=self.time,
-            trace=trace,
-            target=self.info["target"],
-            arm=self.arm_env.arm_positions,
-            sway=np.stack((shapes.min(axis=0), shapes.max(axis=0))),
-            reach=self._reach,
-            lengths=self.lengths,
-            strain=self._strain,
-            earned=self.earned,
-            possible=float(self.steps_made),
-            error=float(self.info["tracking_error"]),
-            distance=float(orbit_distance(trace[-1:], self.scene.orbit)[0]),
-            speed=speed,
-            disturbance=" + ".join(alarms).upper(),
+    def frame(self, width: int, height: int, speed: str) -> Group:
+        """Draw what is to be seen now, in so many columns and lines."""
+        columns, lines = min(width, _LARGEST[0]), min(height, _LARGEST[1])
+        status = self._status(speed)
+        status.truncate(max(columns, 1), overflow="ellipsis")
+        lines -= 1
+        if columns < _SMALLEST[0] or lines < _SMALLEST[1]:
+            return Group(status)
+        size = (_SHARPNESS * columns, _SHARPNESS * 2 * lines)
+        if self._renderer is None or self._renderer.size != size:
+            self._renderer = self._renderer_of(self.episode, size)
+        picture = self._renderer.frame(self.episode.arm_env.arm_joints, self._history)
+        blocks = picture.reshape(2 * lines, _SHARPNESS, columns, _SHARPNESS, 3)
+        return Group(half_blocks(blocks.mean(axis=(1, 3)).astype(np.uint8)), status)
+
+    def _status(self, speed: str) -> Text:
+        episode = self.episode
+        alarms = [*episode.disturbances, *(["left its domain"] if episode.failure else [])]
+        duration = episode.steps * episode.period
+        figures = (
+            f"{episode.time:.2f} of {duration:.2f} s  return {episode.earned:.1f} of "
+            f"{episode.steps_made}  error {episode.info['tracking_error']:.2f}°  {speed}"
         )
-
-    def _remember(self) -> None:
-        self._trace.append(np.asarray(self.info["base_angles"]))
-        across = self.arm_env.arm_positions[:, 0]
-        self._shapes.append(across)
-        self._reach = max(self._reach, float(np.abs(across).max()))
-        # The most strained twentieth, next to the base, would leave no colours for the others.
-        strains = np.sort(np.abs(self.lengths / self.scene.rest_length - 1))
-        self._strain = max(self._strain, float(strains[int(0.95 * (len(strains) - 1))]))
+        alarm = f" {' + '.join(alarms).upper()} " if alarms else ""
+        return Text.assemble(figures, "  ", (alarm, "bold white on red"), no_wrap=True)
 
 
-def show_in_terminal(console: Console, episodes: Iterable[TerminalEpisode], speed: float) -> None:
-    """Show episodes one after the other, live; into a pipe the last frame of each.
+def show_in_terminal(
+    console: Console,
+    episodes: Iterable[Episode],
+    renderer_of: Callable[[Episode, tuple[int, int]], Renderer],
+    speed: float,
+) -> None:
+    """Show episodes one after the other, live; into a pipe their figures alone.
 
     Args:
         console: where to.
         episodes: made one by one.
+        renderer_of: makes what draws an episode in a size, (width, height) [pixels].
         speed: times real time.
     """
     # FORCE_COLOR and the like make a terminal of a pipe in the eyes of rich.
-    if sys.stdout.isatty() and console.is_terminal and not console.is_dumb_terminal:
-        _show_live(console, episodes, speed)
-    else:
-        _print_all(console, episodes)
+    live = sys.stdout.isatty() and console.is_terminal and not console.is_dumb_terminal
+    if live and console.color_system is not None:
+        _show_live(console, (_Show(episode, renderer_of) for episode in episodes), speed)
+        return
+    for episode in episodes:
+        while not episode.ended:
+            episode.step()
+        typer.echo(episode.report())
 
 
 class _Pace:
@@ -134,43 +168,30 @@ class _Pace:
         return wanted if reached > 0.95 * self._speed else f"{reached:.2g}× of {wanted}"
 
 
-def _draw(console: Console, episode: TerminalEpisode, speed: str, height: int) -> Text:
-    colour = console.color_system is not None and not console.no_color
-    moment = episode.moment(speed)
-    return draw_frame(episode.scene, moment, console.width, max(1, height), colour=colour)
-
-
-def _print_all(console: Console, episodes: Iterable[TerminalEpisode]) -> None:
-    for episode in episodes:
-        while not episode.ended:
-            episode.step()
-        console.print(_draw(console, episode, "unlimited", console.height - 1))
-        typer.echo(f"{episode.report()}\n")
-
-
-def _show_live(console: Console, episodes: Iterable[TerminalEpisode], speed: float) -> None:
+def _show_live(console: Console, shows: Iterable[_Show], speed: float) -> None:
     reports: list[str] = []
-    episode: TerminalEpisode | None = None
+    show: _Show | None = None
     words = f"{speed:g}×"
     try:
         with Live(console=console, screen=True, auto_refresh=False) as live:
-            for episode in episodes:
-                pace = _Pace(speed, episode.period)
+            for show in shows:
+                pace = _Pace(speed, show.episode.period)
                 next_frame = time.monotonic()
-                while not episode.ended:
+                while not show.episode.ended:
                     pace.wait()
-                    episode.step()
+                    show.step()
                     now = time.monotonic()
-                    if now < next_frame and not episode.ended:
+                    if now < next_frame and not show.episode.ended:
                         continue
                     words = str(pace)
-                    live.update(_draw(console, episode, words, console.height), refresh=True)
+                    frame: Any = show.frame(console.width, console.height, words)
+                    live.update(frame, refresh=True)
                     # At most half of the time goes into drawing.
                     next_frame = now + max(_FRAME_TIME, 2 * (time.monotonic() - now))
-                reports.append(episode.report())
+                reports.append(show.episode.report())
     except KeyboardInterrupt:
         reports.append("Stopped.")
     # The screen of before is back; what was seen last stays on it.
-    if episode is not None:
-        console.print(_draw(console, episode, words, console.height - 2 - len(reports)))
+    if show is not None:
+        console.print(show.frame(console.width, console.height - 2 - len(reports), words))
     typer.echo("\n".join(reports))
