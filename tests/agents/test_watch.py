@@ -444,7 +444,8 @@ class TestTerminal:
         assert status == 0, written
         shown, after = written.split("\x1b[?1049l")
         assert "\x1b[?1049h" in shown
-        assert shown.count(UPPER_HALF) > 5 * 79 * 22
+        # However busy the machine is, the last moment is drawn.
+        assert shown.count(UPPER_HALF) >= 80 * 23
         assert "seed 0: return" in after
         assert "1.00 of 1.00 s" in after
         assert "\x1b[?25h" in written

@@ -479,8 +479,8 @@ class TestWhere:
 
     def is_terminal(self, result, audience):
         assert result.exit_code == 0, result.output
-        assert ("╭─ base" in result.stdout) == (audience.windows == [])
-        return "╭─ base" in result.stdout
+        assert "seed 0: return" in result.stdout
+        return audience.windows == []
 
     @pytest.mark.parametrize(
         ("view", "display", "toolkit", "terminal"),
@@ -540,7 +540,7 @@ class TestWhere:
         result = run("hold/quadratic", "--steps", 10)
         assert result.exit_code == 0
         assert result.stderr.startswith("no window can be opened: ")
-        assert "╭─ base" in result.stdout
+        assert "seed 0: return" in result.stdout
 
     @pytest.mark.parametrize("options", [("hold/quadratic", "--view", "window"), ()])
     def test_the_extra_is_named(self, options, monkeypatch):

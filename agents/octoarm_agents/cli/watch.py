@@ -91,7 +91,7 @@ def watch(
     view: Annotated[
         str,
         typer.Option(
-            help="window, terminal, or auto: a window where there are a display and pygame-ce.",
+            help="window, terminal, or auto: a window where there is a display.",
             metavar="NAME",
             callback=_check_view,
         ),
