@@ -10,6 +10,8 @@ from __future__ import annotations
 import gc
 import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -286,10 +288,19 @@ def time_slice(contender: Contender, steps: int) -> float:
 
 
 def _memory_per_environment() -> float | None:
-    """Resident bytes that an environment of a large native batch adds."""
-    before = _resident_bytes()
-    if before is None:
+    """Resident bytes that an environment of a large native batch adds.
+
+    Measured in a process of its own, which has no memory left over from anything else.
+    """
+    if _resident_bytes() is None:
         return None
+    code = f"from {__name__} import measure_memory; print(measure_memory())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return float(done.stdout)
+
+
+def measure_memory() -> float:
+    """Make a large native batch in this process, and give the resident bytes of an environment."""
     # The swing's snapshots, which all share, are there before.
     first = OctoArmVectorEnv(1)
     before = _resident_bytes() or 0
