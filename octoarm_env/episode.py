@@ -42,11 +42,6 @@ class EpisodeCore(Protocol):
         """Go on exactly where an episode of the same settings was saved."""
 
     @property
-    def config(self) -> str:
-        """The settings, as JSON text."""
-        ...
-
-    @property
     def action_range(self) -> float:
         """Degrees of base rotation at an action of 1."""
         ...

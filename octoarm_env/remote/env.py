@@ -121,10 +121,6 @@ class RemoteEpisode:
         return np.asarray(self._read(key), np.float64)
 
     @cached_property
-    def config(self) -> str:
-        return str(self._read("settings"))
-
-    @cached_property
     def action_range(self) -> float:
         return float(self._read("action_range"))
 

@@ -99,9 +99,8 @@ class TeacherRun:
         Raises:
             DomainError: the arm is at the edge of its domain.
         """
-        if begin not in self._maps:
-            self._maps[begin] = (self.arm_after(begin), [])
-        arm, maps = self._maps[begin]
+        # Taken away meanwhile: where it is interrupted, arm and maps would no longer fit together.
+        arm, maps = self._maps.pop(begin, None) or (self.arm_after(begin), [])
         scale = _magnitudes(self.parameters)
         for point in range(len(maps), count):
             middle, before = (
@@ -116,6 +115,7 @@ class TeacherRun:
                     lengths=step.lengths * scale,
                 )
             )
+        self._maps[begin] = arm, maps
         return maps[:count]
 
     def offsets(self, weights: Float, begin: int, end: int) -> Float:
@@ -180,7 +180,9 @@ def floquet_exponents(
         directions = np.linalg.qr(random.normal(size=(len(loop[0]), count)))[0]
         sums = np.zeros(count)
         for time in range(skip + steps):
-            directions = loop[int(time % run.turn * _POINTS / run.turn)] @ directions
+            # Rounding may carry the end of a turn to the next part.
+            part = min(int(time % run.turn * _POINTS / run.turn), len(loop) - 1)
+            directions = loop[part] @ directions
             if (time + 1 - skip) % _CHUNK == 0 or time + 1 in (skip, skip + steps):
                 if not np.isfinite(directions).all():
                     raise ValueError("the gain of the loop is beyond all bounds")
