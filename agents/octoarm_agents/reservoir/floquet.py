@@ -99,8 +99,10 @@ class TeacherRun:
         Raises:
             DomainError: the arm is at the edge of its domain.
         """
+        if begin not in self._maps:
+            self._maps[begin] = (self.arm_after(begin), [])
         # Taken away meanwhile: where it is interrupted, arm and maps would no longer fit together.
-        arm, maps = self._maps.pop(begin, None) or (self.arm_after(begin), [])
+        arm, maps = self._maps.pop(begin)
         scale = _magnitudes(self.parameters)
         for point in range(len(maps), count):
             middle, before = (
