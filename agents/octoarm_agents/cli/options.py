@@ -1,4 +1,7 @@
-"""Checks of option values, with messages that name value and allowed range."""
+"""Options that several commands take, each written once, and checks of option values.
+
+A command's own numbers are written ``Annotated[int, number("Rows left out.", 0, 1000)]``.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,17 +17,39 @@ if TYPE_CHECKING:
     from octoarm_env import ArmParameters
 
 __all__ = [
+    "Actuator",
+    "Algorithm",
+    "Amplitude",
+    "Body",
     "EpisodeSeed",
     "EpisodeSteps",
+    "Jobs",
     "NoiseSize",
     "OtherArm",
+    "OtherBody",
     "PushSize",
+    "Seed",
+    "Target",
+    "TargetArgument",
     "need_extra",
+    "number",
     "number_between",
     "output_file",
     "output_folder",
+    "processes",
     "read_body",
+    "refused",
+    "result_file",
+    "result_folder",
 ]
+
+
+def number(help: str, low: float, high: float, unit: str = "", *names: str, **more: Any) -> Any:
+    """Give an option of a number between `low` and `high`, both allowed.
+
+    `names` and `more`, `show_default` mostly, are as in `typer.Option`.
+    """
+    return typer.Option(*names, help=help, callback=number_between(low, high, unit), **more)
 
 
 def number_between(
@@ -44,6 +69,16 @@ def number_between(
         return value
 
     return check
+
+
+def result_folder(content: str, **more: Any) -> Any:
+    """Give the option of a folder for `content`, made if need be."""
+    return typer.Option(help=f"Folder for {content}.", callback=output_folder, **more)
+
+
+def result_file(content: str, **more: Any) -> Any:
+    """Give the option of a file for `content`, its folder made if need be."""
+    return typer.Option(help=content, callback=output_file, **more)
 
 
 def output_folder(path: Path) -> Path:
@@ -66,6 +101,11 @@ def output_file(path: Path | None) -> Path | None:
     return path
 
 
+def processes(jobs: int | None) -> int:
+    """How many processes `--jobs` asks for."""
+    return jobs or os.cpu_count() or 1
+
+
 def read_body(path: Path | None) -> ArmParameters:
     """The body of that name or in that JSON file, the default body for None."""
     from octoarm_env import ArmParameters
@@ -77,6 +117,16 @@ def read_body(path: Path | None) -> ArmParameters:
     except ValueError as error:
         reason = str(error)
     raise typer.BadParameter(reason, param_hint="'--arm'")
+
+
+@contextmanager
+def refused(option: str | None = None) -> Iterator[None]:
+    """Turn a ValueError within into the usual answer to a bad option."""
+    try:
+        yield
+    except ValueError as error:
+        hint = None if option is None else f"'{option}'"
+        raise typer.BadParameter(f"{error}.", param_hint=hint) from None
 
 
 @contextmanager
@@ -94,33 +144,68 @@ def need_extra(name: str) -> Iterator[None]:
         raise typer.Exit(1) from None
 
 
-EpisodeSteps = Annotated[
-    int,
-    typer.Option(help="Control periods of an episode.", callback=number_between(10, 1_000_000)),
+Seed = Annotated[int, number("Seed of all that is random.", 0, 2**32 - 1)]
+Jobs = Annotated[
+    int | None,
+    number(
+        "Processes; the results do not depend on it.",
+        1,
+        1024,
+        show_default="number of processors",
+    ),
 ]
-EpisodeSeed = Annotated[
-    int,
-    typer.Option(help="Episode i begins with seed + i.", callback=number_between(0, 2**31 - 1)),
+Algorithm = Annotated[
+    Literal["ppo", "sac", "tqc", "recurrent_ppo"],
+    typer.Argument(help="What trains.", show_default=False),
 ]
+
+# The body and its target.
+_BODY = "A body: nakajima2013, inertial, or a JSON file of parameters."
+Body = Annotated[Path | None, typer.Option("--arm", help=_BODY, show_default="the default body")]
+OtherBody = Annotated[
+    Path | None, typer.Option("--arm", help=_BODY, show_default="the agent's own body")
+]
+OtherArm = OtherBody
+Actuator = Annotated[
+    Literal["direct", "servo"],
+    typer.Option(
+        help="How the base follows its command: at once, as in the paper, or through a servo."
+    ),
+]
+Target = Annotated[
+    Literal["quadratic", "van_der_pol", "lissajous"],
+    typer.Option(help="Limit cycle (Eqs. 28, 27, 29)."),
+]
+TargetArgument = Annotated[
+    Literal["quadratic", "van_der_pol", "lissajous"],
+    typer.Argument(help="The limit cycle: quadratic, van_der_pol or lissajous."),
+]
+Amplitude = Annotated[
+    float | None,
+    number(
+        "R: largest angle of the target in degrees.",
+        0.1,
+        360.0,
+        "degrees",
+        "--amplitude",
+        "-R",
+        show_default="the paper's",
+    ),
+]
+
+# An episode of an agent.
+EpisodeSteps = Annotated[int, number("Control periods of an episode.", 10, 1_000_000)]
+EpisodeSeed = Annotated[int, number("Episode i begins with seed + i.", 0, 2**31 - 1)]
 PushSize = Annotated[
     float,
-    typer.Option(
-        help="Push the base by so many degrees for 0.2 s after 1 s.",
-        callback=number_between(0.0, 360.0, "degrees"),
-    ),
+    number("Push the base by so many degrees for 0.2 s after 1 s.", 0.0, 360.0, "degrees"),
 ]
 NoiseSize = Annotated[
     float,
-    typer.Option(
-        help="Half width of white noise on the lengths that the agent sees, in metres.",
-        callback=number_between(0.0, 0.01, "metres"),
-    ),
-]
-OtherArm = Annotated[
-    Path | None,
-    typer.Option(
-        "--arm",
-        help="Another body to act on: nakajima2013, inertial, or a JSON file of parameters.",
-        show_default="the agent's own body",
+    number(
+        "Half width of white noise on the lengths that the agent sees, in metres.",
+        0.0,
+        0.01,
+        "metres",
     ),
 ]
