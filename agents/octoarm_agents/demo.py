@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
+from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 from octoarm_agents.reservoir import Readout, orbit_distance
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,

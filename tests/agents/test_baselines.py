@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from octoarm_agents.experiments.esn_search import rank_settings
-from octoarm_agents.experiments.task1 import TASKS, Drive, fit_readout, score_features
+from octoarm_agents.experiments.emulation.esn_search import rank_settings
+from octoarm_agents.experiments.emulation.protocol import TASKS, Drive, fit_readout, score_features
 from octoarm_agents.reservoir.baselines import (
     BASELINES,
     ESN_SETTINGS,

@@ -31,8 +31,8 @@ from octoarm_agents.calibration.space import (
     SearchSpace,
     tilt_gravity,
 )
-from octoarm_agents.experiments.task1 import INITIAL_STEPS, TASKS, Drive
-from octoarm_agents.experiments.task1_trials import score_arm
+from octoarm_agents.experiments.emulation.protocol import INITIAL_STEPS, TASKS, Drive
+from octoarm_agents.experiments.emulation.trials import score_arm
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 

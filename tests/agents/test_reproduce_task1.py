@@ -8,7 +8,7 @@ from octoarm_agents.common.intervals import bootstrap_interval, summarise, welch
 from octoarm_agents.common.trials import run_trials
 from octoarm_agents.experiments import EXPERIMENTS, figure5a
 from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
-from octoarm_agents.experiments.task1 import (
+from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
     TASKS,
@@ -19,7 +19,7 @@ from octoarm_agents.experiments.task1 import (
     score_features,
     trial_streams,
 )
-from octoarm_agents.experiments.task1_trials import (
+from octoarm_agents.experiments.emulation.trials import (
     compare_methods,
     leave_out_compartments,
     record_trials,

@@ -10,8 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from octoarm_agents.common.trials import code_digest, run_trials, share_out
-from octoarm_agents.experiments import EXPERIMENTS, load_experiment
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable, reproduce
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.runner import (
+    Experiment,
+    RunSettings,
+    load_experiment,
+    reproduce,
+)
+from octoarm_agents.experiments.tables import ResultTable
 
 from octoarm_env import ArmParameters
 
@@ -264,31 +270,32 @@ def test_the_digest_is_of_the_package_and_of_the_trials_own_module(tmp_path, mon
     assert code_digest("some_trials") != first
 
 
-def square(context):
-    results = context.run(
-        "square",
-        draw_number,
-        settings(context.out.parent / "log", context.trials, context.seed),
-    )
-    return {"trials": context.trials, "sums": [result["sum"] for result in results]}
+def square(run):
+    log = run.out.parent / "log"
+    (results,) = run.repeat("square", draw_number, [[{"log": str(log)}]])
+    return {"trials": run.trials, "sums": [result["sum"] for result in results]}
 
 
-def write_nothing_much(result, path):
-    path.write_bytes(b"picture of %d" % result["trials"])
+class Picture:
+    """What stands for a figure."""
+
+    def __init__(self, result):
+        self.trials = result["trials"]
+
+    def savefig(self, path):
+        path.write_bytes(b"picture of %d" % self.trials)
 
 
-SQUARE = Experiment(
-    "square",
-    3,
-    square,
-    write_nothing_much,
-    lambda result: [ResultTable("Square", ("sum",), [[str(s)] for s in result["sums"]])],
-)
+def tabulate(result):
+    return [ResultTable("Square", ("sum",), [[str(s)] for s in result["sums"]])]
+
+
+SQUARE = Experiment("square", 3, square, tabulate, Picture)
 
 
 def test_an_experiment_writes_both_files_and_says_what_it_was_run_with(tmp_path):
     out = tmp_path / "out"
-    result = reproduce(SQUARE, Context(out, seed=4))
+    result = reproduce(SQUARE, RunSettings(out, seed=4))
     assert sorted(path.name for path in out.iterdir()) == [
         ".square-trials",
         "square.json",
@@ -306,21 +313,32 @@ def test_an_experiment_writes_both_files_and_says_what_it_was_run_with(tmp_path)
 
 
 def test_a_failure_leaves_no_new_file(tmp_path):
-    def fail(result, path):
-        path.write_bytes(b"half")
-        raise RuntimeError("no ink")
+    class Broken(Picture):
+        def savefig(self, path):
+            super().savefig(path)
+            raise RuntimeError("no ink")
 
-    broken = Experiment("square", 1, square, fail, SQUARE.tables)
+    broken = Experiment("square", 1, square, tabulate, Broken)
     with pytest.raises(RuntimeError, match="no ink"):
-        reproduce(broken, Context(tmp_path / "out"))
+        reproduce(broken, RunSettings(tmp_path / "out"))
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".square-trials"]
+
+
+def test_settings_take_turns_over_the_trials(tmp_path):
+    run = RunSettings(tmp_path, trials=3, seed=5)
+    logs = [str(tmp_path / name) for name in "abc"]
+    points = [[{"log": logs[0]}, {"log": logs[1]}], [{"log": logs[2]}]]
+    first, second = run.repeat("square", draw_number, points)
+    assert [each["trial"] for each in first] == [0, 1, 2]
+    assert first == second
+    assert [computed(Path(log)) for log in logs] == [[0, 2], [1], [0, 1, 2]]
 
 
 @pytest.mark.parametrize("setting", [{"trials": 0}, {"seed": -1}, {"jobs": 0}], ids=str)
 def test_bad_settings_are_named(tmp_path, setting):
     ((name, value),) = setting.items()
     with pytest.raises(ValueError, match=f"{name} = {value}: expected a whole number, at least"):
-        Context(tmp_path, **setting)
+        RunSettings(tmp_path, **setting)
 
 
 def test_every_experiment_is_what_the_registry_calls_it():

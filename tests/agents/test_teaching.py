@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from octoarm_agents.experiments.floquet_trials import noise_response
+from octoarm_agents.experiments.cycles.floquet_trials import noise_response
 from octoarm_agents.reservoir import Readout
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release, score_window
 from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents

@@ -17,7 +17,7 @@ from octoarm_agents.comparison import Comparison, Protocol
 from octoarm_agents.comparison.agents import Cell
 from octoarm_agents.comparison.linear_search import LinearSearch
 from octoarm_agents.demo import DemoSettings
-from octoarm_agents.experiments.runner import Context
+from octoarm_agents.experiments.runner import RunSettings
 from octoarm_agents.policies import load_trained
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import evaluate_policy
@@ -55,7 +55,7 @@ CALLS: dict[str, tuple[str, Any]] = {
     "Comparison": ("seeds", lambda n: Comparison(seeds=n)),
     "Cell": ("seed", lambda n: Cell("ppo", "quadratic", n, 1.0, Path())),
     "DemoSettings": ("steps", lambda n: DemoSettings(steps=n)),
-    "Context": ("trials", lambda n: Context(Path(), trials=n)),
+    "Context": ("trials", lambda n: RunSettings(Path(), trials=n)),
     "SurveySettings": ("samples", lambda n: SurveySettings(samples=n)),
     "initial_steps": ("trials", initial_steps),
     "lyapunov": ("steps", lambda n: largest_lyapunov_exponent(lambda s, k: s, np.ones(2), n)),

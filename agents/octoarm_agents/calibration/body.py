@@ -25,7 +25,7 @@ from octoarm_agents.calibration.search import POPULATION, search_bodies
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
 from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
-from octoarm_agents.experiments.task1 import RANGE, TASKS, check_timestep
+from octoarm_agents.experiments.emulation.protocol import RANGE, TASKS, check_timestep
 from octoarm_env import Arm, ArmParameters, DomainError
 
 __all__ = ["SCORE", "calibrate_body", "measure_again"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from octoarm_agents.experiments.cycle_settings import CYCLES
+from octoarm_agents.reservoir.cycles import CYCLES
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
     WINDOW_STEPS,

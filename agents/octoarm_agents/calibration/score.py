@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from octoarm_agents.calibration.outcomes import count_contradictions, plain_outcomes
 from octoarm_agents.common.lanes import record_arms
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.experiments.task1 import (
+from octoarm_agents.experiments.emulation.protocol import (
     INITIAL_STEPS,
     PAPER,
     RANGE,

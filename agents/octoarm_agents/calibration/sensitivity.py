@@ -16,7 +16,7 @@ from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
 from octoarm_agents.common.files import write_atomically, write_json, write_text
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.trials import run_trials
-from octoarm_agents.experiments.task1 import RANGE, check_timestep
+from octoarm_agents.experiments.emulation.protocol import RANGE, check_timestep
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
 __all__ = ["AMPLITUDES", "Change", "changes_of", "measure_sensitivity", "probe_change"]

@@ -20,7 +20,7 @@ from octoarm_agents.common.plotting import (
     save_figure,
     write_letters,
 )
-from octoarm_agents.experiments.task1 import TASKS
+from octoarm_agents.experiments.emulation.protocol import TASKS
 from octoarm_env import LIMIT_CYCLES
 
 __all__ = ["draw_sensitivity", "sensitivity_markdown"]

@@ -162,7 +162,7 @@ def _print_body(console: Console, result: dict[str, Any]) -> None:
 
     from octoarm_agents.calibration.outcomes import describe_outcomes
     from octoarm_agents.calibration.space import OPEN_NUMBERS
-    from octoarm_agents.experiments.task1 import TASKS
+    from octoarm_agents.experiments.emulation.protocol import TASKS
 
     table = Table(title="Error divided by that of Table 2, and what the best body is")
     table.add_column("")

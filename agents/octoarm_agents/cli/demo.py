@@ -108,7 +108,7 @@ def demo(
     from octoarm_agents import demo as arm_demo
     from octoarm_agents.common.files import write_atomically, write_json
     from octoarm_agents.demo_figure import draw_demo
-    from octoarm_agents.experiments.cycle_settings import CYCLES, PAPER_BURSTS
+    from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 
     parameters = read_body(arm)
     teaching = replace(CYCLES[target]["plain" if plain else "weighted"], actuator=actuator)

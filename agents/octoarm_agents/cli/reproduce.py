@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-import inspect
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from octoarm_agents.cli.options import number_between, output_folder, read_body
+from octoarm_agents.cli.options import (
+    Body,
+    Jobs,
+    Seed,
+    number,
+    processes,
+    read_body,
+    refused,
+    result_folder,
+)
 from octoarm_agents.experiments import EXPERIMENTS
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from octoarm_agents.experiments.runner import ResultTable
-    from octoarm_env import ArmParameters
+    from octoarm_agents.experiments.tables import ResultTable
 
 ALL = "all"
+OWN = "the experiment's own"
 
 
 def _check_name(name: str) -> str:
@@ -32,61 +39,34 @@ def _check_name(name: str) -> str:
 def reproduce(
     name: Annotated[
         str,
-        typer.Argument(
-            help=f"What to reproduce: {ALL}, or one of {', '.join(EXPERIMENTS)}.",
-            callback=_check_name,
-            metavar="NAME",
-        ),
+        typer.Argument(help=f"{ALL}, or one of those above.", callback=_check_name, metavar="NAME"),
     ],
-    out: Annotated[
-        Path,
-        typer.Option(help="Folder for NAME.png and NAME.json.", callback=output_folder),
-    ] = Path("out/reproduce"),
-    trials: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of trials.",
-            show_default="the experiment's own, as in the paper",
-            callback=number_between(1, 100_000),
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(help="Seed of everything random.", callback=number_between(0, 2**32 - 1)),
-    ] = 0,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            help="Processes; the results do not depend on it.",
-            show_default="number of processors",
-            callback=number_between(1, 1024),
-        ),
-    ] = None,
+    out: Annotated[Path, result_folder("NAME.png and NAME.json")] = Path("out/reproduce"),
+    trials: Annotated[int | None, number("Number of trials.", 1, 100_000, show_default=OWN)] = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
     amplitude: Annotated[
         float | None,
-        typer.Option(
+        number(
+            "R: largest angle of the base in degrees, where the experiment has one.",
+            0.1,
+            360.0,
+            "degrees",
             "--amplitude",
             "-R",
-            help="R: largest angle of the base in degrees, where the experiment has one.",
-            show_default="the experiment's own",
-            callback=number_between(0.1, 360.0, "degrees"),
+            show_default=OWN,
         ),
     ] = None,
     steps: Annotated[
         int | None,
-        typer.Option(
-            help="Physics steps in closed loop, where the experiment lets go of the arm.",
-            show_default="the experiment's own, as in the paper",
-            callback=number_between(10_000, 100_000_000),
+        number(
+            "Physics steps in closed loop, where the experiment lets go of the arm.",
+            10_000,
+            100_000_000,
+            show_default=OWN,
         ),
     ] = None,
-    arm: Annotated[
-        Path | None,
-        typer.Option(
-            help="A body: nakajima2013, inertial, or a JSON file of parameters.",
-            show_default="the default body",
-        ),
-    ] = None,
+    arm: Body = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Compute every trial anew, even if it is stored.")
     ] = False,
@@ -98,17 +78,18 @@ def reproduce(
     """
     from rich.console import Console
 
-    from octoarm_agents.experiments import load_experiment
-    from octoarm_agents.experiments.refusal import RefusedError
-    from octoarm_agents.experiments.runner import Context
+    from octoarm_agents.experiments.runner import RefusedError, RunSettings, load_experiment
     from octoarm_agents.experiments.runner import reproduce as run
+    from octoarm_env import Arm
 
-    parameters = _check_body(read_body(arm))
-    context = Context(
+    parameters = read_body(arm)
+    with refused("--arm"):
+        Arm(parameters)  # It has a static equilibrium.
+    settings = RunSettings(
         out=out,
         trials=trials,
         seed=seed,
-        jobs=jobs or os.cpu_count() or 1,
+        jobs=processes(jobs),
         amplitude=amplitude,
         steps=steps,
         parameters=parameters,
@@ -116,26 +97,16 @@ def reproduce(
     )
     console = Console()
     for each in EXPERIMENTS if name == ALL else (name,):
+        experiment = load_experiment(each)
         try:
-            result = run(load_experiment(each), context)
+            result = run(experiment, settings)
         except RefusedError as error:
             raise typer.BadParameter(f"{each}: {error}.") from None
-        for table in load_experiment(each).tables(result):
+        for table in experiment.tables(result):
             console.print(_table(table))
             for note in table.notes:
                 console.print(note, soft_wrap=True, markup=False)
         console.print(f"Wrote {out / each}.png and {out / each}.json.", soft_wrap=True)
-
-
-def _check_body(parameters: ArmParameters) -> ArmParameters:
-    """Refuse a body that no arm can be made of."""
-    from octoarm_env import Arm
-
-    try:
-        Arm(parameters)
-    except ValueError as error:  # it has no static equilibrium
-        raise typer.BadParameter(str(error), param_hint="'--arm'") from None
-    return parameters
 
 
 def _table(content: ResultTable) -> Table:
@@ -150,10 +121,5 @@ def _table(content: ResultTable) -> Table:
 
 
 # Appended here, not written out, so that every experiment appears in ``--help`` by itself.
-_paragraphs = inspect.cleandoc(reproduce.__doc__ or "").split("\n\n")
-reproduce.__doc__ = "\n\n".join(
-    (
-        *(paragraph.replace("\n", " ") for paragraph in _paragraphs),
-        "\b\n" + "\n".join(f"{name:<14}{title}" for name, title in EXPERIMENTS.items()),
-    )
-)
+_listed = "\n".join(f"    {name:<14}{each.help}" for name, each in EXPERIMENTS.items())
+reproduce.__doc__ = f"{reproduce.__doc__}\n    \b\n{_listed}\n"

@@ -4,37 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.trials import Record, Settings, Trial, run_trials
 from octoarm_agents.common.whole import whole_fields
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.tables import ResultTable
 from octoarm_env import ArmParameters
 
-__all__ = ["Context", "Experiment", "ResultTable", "reproduce"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Experiment",
+    "RefusedError",
+    "RunSettings",
+    "load_experiment",
+    "reproduce",
+    "round_numbers",
+]
 
 
-@dataclass(frozen=True)
-class ResultTable:
-    """A table for the terminal.
+class RefusedError(ValueError):
+    """An experiment cannot be run with this body or these settings; the message says why.
 
-    Attributes:
-        title: above it.
-        columns: headings.
-        rows: cells, as many a row as there are columns.
-        notes: lines below it.
+    Told apart from any other `ValueError`, which is an error within.
     """
 
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    notes: Sequence[str] = ()
-
 
 @dataclass(frozen=True)
-class Context:
+class RunSettings:
     """What an experiment is run with.
 
     Attributes:
@@ -73,8 +79,7 @@ class Context:
 
         Args:
             name: of the experiment, whose folder of finished trials is used.
-            function: one trial, in a module that draws nothing: a change of it, or of what it
-                imports, makes the stored trials invalid.
+            function: one trial.
             settings: keyword arguments of each trial.
             record: computes together what several trials need; None: each is by itself.
 
@@ -93,6 +98,34 @@ class Context:
             description=name,
         )
 
+    def repeat(
+        self,
+        name: str,
+        function: Trial,
+        points: Sequence[Sequence[Settings]],
+        record: Record | None = None,
+    ) -> list[list[dict[str, Any]]]:
+        """Make all trials, of which ``function`` is told seed and number, at each of some points.
+
+        Args:
+            name: as in `run`.
+            function: one trial.
+            points: for each the other settings, several of which take turns over the trials.
+            record: as in `run`.
+
+        Returns:
+            For each of `points` the results in the order of the trials.
+        """
+        count = self.trials
+        assert count is not None
+        settings = [
+            {**point[trial % len(point)], "seed": self.seed, "trial": trial}
+            for point in points
+            for trial in range(count)
+        ]
+        results = self.run(name, function, settings, record)
+        return [results[count * k : count * (k + 1)] for k in range(len(points))]
+
     def describe(self, name: str) -> dict[str, Any]:
         """What a result was computed with: settings, body, versions, machine and command."""
         command = f"octoarm reproduce {name} --trials {self.trials} --seed {self.seed}"
@@ -102,59 +135,72 @@ class Context:
             command += f" --steps {self.steps}"
         if self.parameters != ArmParameters():
             command += " --arm body.json"
+        packages = ("octoarm-env", "octoarm-agents", "numpy", "scipy", "scikit-learn")
         return {
             "command": command,
             "seed": self.seed,
             "body": self.parameters.to_dict(),
-            "versions": package_versions(
-                "octoarm-env",
-                "octoarm-agents",
-                "numpy",
-                "scipy",
-                "scikit-learn",
-                "reservoirpy",
-                "matplotlib",
-            ),
+            "versions": package_versions(*packages, "reservoirpy", "matplotlib"),
             "machine": describe_machine(),
         }
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One table or figure of the paper; every module of an experiment has one as ``EXPERIMENT``.
+    """One table or figure of the paper.
 
     Attributes:
         name: as on the command line; the files are called so too.
         trials: how many it makes when nothing else is asked for.
-        run: the result, plain numbers for a JSON file, under a context whose `trials` is a number.
-        draw: writes the figure of a result to a path.
+        run: the result, plain numbers for a JSON file, under settings whose `trials` is a number.
         tables: a result for the terminal.
+        draw: the figure of a result.
     """
 
     name: str
     trials: int
-    run: Callable[[Context], dict[str, Any]]
-    draw: Callable[[Mapping[str, Any], Path], None]
+    run: Callable[[RunSettings], dict[str, Any]]
     tables: Callable[[Mapping[str, Any]], Sequence[ResultTable]]
+    draw: Callable[[Mapping[str, Any]], Figure]
 
 
-def reproduce(experiment: Experiment, context: Context) -> dict[str, Any]:
+def load_experiment(name: str) -> Experiment:
+    """Give the experiment of that name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name not in EXPERIMENTS:
+        raise ValueError(f"no experiment {name!r}: expected one of {', '.join(EXPERIMENTS)}")
+    module = import_module(f"octoarm_agents.experiments.{EXPERIMENTS[name].module}")
+    experiment: Experiment = getattr(module, name.replace("-", "_").upper())
+    return experiment
+
+
+def round_numbers(values: NDArray[np.floating]) -> list[Any]:
+    """Numbers for a JSON file, to seven digits: they are for looking at."""
+    if values.ndim > 1:
+        return [round_numbers(row) for row in values]
+    return [float(f"{value:.7g}") for value in values]
+
+
+def reproduce(experiment: Experiment, settings: RunSettings) -> dict[str, Any]:
     """Run an experiment, and write its files NAME.json and NAME.png.
 
     The files appear whole, and only when the experiment has gone to its end.
 
     Returns:
-        What the JSON file holds: the experiment's result and `Context.describe`.
+        What the JSON file holds: the experiment's result and `RunSettings.describe`.
 
     Raises:
-        ValueError: settings or a body that the experiment cannot be run with.
+        RefusedError: settings or a body that the experiment cannot be run with.
         OSError: the folder cannot be written to.
     """
-    context.out.mkdir(parents=True, exist_ok=True)
-    if context.trials is None:
-        context = replace(context, trials=experiment.trials)
-    result = experiment.run(context) | context.describe(experiment.name)
-    picture = context.out / f"{experiment.name}.png"
-    write_atomically(picture, lambda path: experiment.draw(result, path))
+    settings.out.mkdir(parents=True, exist_ok=True)
+    if settings.trials is None:
+        settings = replace(settings, trials=experiment.trials)
+    result = experiment.run(settings) | settings.describe(experiment.name)
+    picture = settings.out / f"{experiment.name}.png"
+    write_atomically(picture, experiment.draw(result).savefig)
     write_json(picture.with_suffix(".json"), result)
     return result

@@ -41,7 +41,7 @@ ESN_SETTINGS: dict[str, float] = {
     "spectral_radius": 0.5,
     "input_scaling": 0.1,
 }
-"""What ``python -m octoarm_agents.experiments.esn_search`` ranks first."""
+"""What ``python -m octoarm_agents.experiments.emulation.esn_search`` ranks first."""
 
 ESN_BIAS = 0.5
 """Size of the nodes' random biases; without them tanh is odd, and no even task can be done."""

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from octoarm_agents.common.intervals import format_range
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, TRAININGS
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.task2 import teach_cycles
+from octoarm_agents.common.plotting import GREY, new_figure, write_letters
+from octoarm_agents.experiments.cycles.taught import teach_cycles
+from octoarm_agents.experiments.plots import (
+    SPRING_COLOURS,
+    explain_below,
+    number_compartments,
+    say_missing,
+)
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable, observation_table
+from octoarm_agents.reservoir.cycles import CYCLE_LABELS, TRAININGS
 
-__all__ = ["EXPERIMENT", "by_compartment", "describe_weights"]
+__all__ = ["FIGURE12", "by_compartment", "describe_weights"]
 
 Float = NDArray[np.float64]
 
-SPRINGS = 4
 BASE_COMPARTMENTS = 6
 """In the paper's Lissajous curve, output 1 has almost no weights beyond compartment 6."""
 
@@ -37,24 +44,24 @@ PAPER_FEATURES = {
 }
 
 
-def run(context: Context) -> dict[str, Any]:
+def run(settings: RunSettings) -> dict[str, Any]:
     """Weights of both trainings, and what the paper says of them as numbers."""
     cycles: dict[str, Any] = {}
-    for target, pair in teach_cycles(context).items():
+    for target, pair in teach_cycles(settings).items():
         cycles[target] = {}
         for training, taught in pair.items():
-            entry = taught[0].describe() | {"readouts": []}
-            if taught[0].failure is None:
-                for cycle in taught:
-                    weights = np.array(cycle.result["weights"])
-                    entry["readouts"].append(
-                        {
-                            "seed": cycle.teaching.seed,
-                            "outputs": [describe_weights(column) for column in weights.T],
-                            "correlation_of_outputs": _correlation(*weights.T),
-                        }
-                    )
-            cycles[target][training] = entry
+            entry = cycles[target][training] = taught[0].describe() | {"readouts": []}
+            if taught[0].failure is not None:
+                continue
+            for cycle in taught:
+                weights = np.array(cycle.result["weights"])
+                entry["readouts"].append(
+                    {
+                        "seed": cycle.teaching.seed,
+                        "outputs": [describe_weights(column) for column in weights.T],
+                        "correlation_of_outputs": _correlation(*weights.T),
+                    }
+                )
     return {
         "trials": 1,
         "cycles": cycles,
@@ -67,8 +74,7 @@ def _check_features(cycles: Mapping[str, Any], training: str) -> dict[str, list[
     """Whether the paper's observations hold, for each repetition of a training."""
 
     def each(target: str, holds: Callable[[Mapping[str, Any]], bool]) -> list[bool]:
-        readouts = cycles[target][training]["readouts"] if target in cycles else []
-        return [holds(readout) for readout in readouts]
+        return [holds(readout) for readout in cycles[target][training]["readouts"]]
 
     def springs_alike(readout: Mapping[str, Any]) -> bool:
         return all(abs(output["correlation_of_pairs"]) >= _ALIKE for output in readout["outputs"])
@@ -108,7 +114,7 @@ def describe_weights(weights: Float) -> dict[str, Any]:
 
 def by_compartment(values: Float) -> Float:
     """Values of springs, (4 N,), as a row (4,) each compartment."""
-    return values.reshape(-1, SPRINGS)
+    return values.reshape(-1, 4)
 
 
 def _correlation(first: Float, second: Float) -> float:
@@ -120,73 +126,47 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     rows, notes = [], []
     for target, pair in result["cycles"].items():
         for training, entry in pair.items():
-            if not entry["readouts"]:
+            readouts = entry["readouts"]
+            if not readouts:
                 notes.append(f"{target}: {entry['teaching_failure']['message']}.")
                 continue
+            between = format_range([each["correlation_of_outputs"] for each in readouts], "+.2f")
             for number in range(2):
-                outputs = [readout["outputs"][number] for readout in entry["readouts"]]
+                outputs = [readout["outputs"][number] for readout in readouts]
+                largest = [np.abs(output["weights"]).max() for output in outputs]
+                pairs = [output["correlation_of_pairs"] for output in outputs]
+                near_base = [output["part_near_base"] for output in outputs]
                 rows.append(
                     (
                         target,
                         training,
                         str(number + 1),
-                        format_range(
-                            [np.abs(output["weights"]).max() for output in outputs], ".3g"
-                        ),
-                        format_range(
-                            [output["correlation_of_pairs"] for output in outputs], "+.2f"
-                        ),
-                        format_range([output["part_near_base"] for output in outputs], ".0%"),
-                        format_range(
-                            [each["correlation_of_outputs"] for each in entry["readouts"]], "+.2f"
-                        ),
+                        format_range(largest, ".3g"),
+                        format_range(pairs, "+.2f"),
+                        format_range(near_base, ".0%"),
+                        between,
                     )
                 )
     columns = (
-        "cycle",
-        "training",
-        "output",
-        "largest (°/m)",
-        "springs 1, 2 with 3, 4",
-        f"squares in 1-{BASE_COMPARTMENTS}",
-        "output 1 with 2",
+        *("cycle", "training", "output", "largest (°/m)", "springs 1, 2 with 3, 4"),
+        *(f"squares in 1-{BASE_COMPARTMENTS}", "output 1 with 2"),
     )
-    verdicts = [
-        (text, *(_count(result["confirmed"][training][name]) for training in TRAININGS))
-        for name, text in result["paper"].items()
-    ]
     title = "Weights and their correlations, smallest to largest over the noise seeds"
     return [
         ResultTable(title, columns, rows, notes),
-        ResultTable(
+        observation_table(
             f"The paper's observations (correspond: correlation of {_ALIKE:g} or more in size)",
-            ("", *TRAININGS),
-            verdicts,
+            result["paper"],
+            result["confirmed"],
         ),
     ]
 
 
-def _count(confirmed: Sequence[bool]) -> str:
-    return f"{sum(confirmed)} of {len(confirmed)}" if confirmed else "–"
-
-
-def draw(result: Mapping[str, Any], path: Path) -> None:
+def draw(result: Mapping[str, Any]) -> Figure:
     """Bars of the plain training's first readouts, a row a cycle and a column an output.
 
     The four springs of a compartment stand together.
     """
-    from octoarm_agents.common.plotting import (
-        BLUE,
-        GREEN,
-        GREY,
-        ORANGE,
-        VERMILLION,
-        new_figure,
-        save_figure,
-        write_letters,
-    )
-    from octoarm_agents.experiments.cycle_figures import say_missing
-
     figure = new_figure(13.0, 8.5)
     panels = figure.subplots(len(result["cycles"]), 2, squeeze=False)
     for row, (target, pair) in zip(panels, result["cycles"].items(), strict=True):
@@ -197,7 +177,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
                 continue
             weights = np.array(entry["readouts"][0]["outputs"][number]["weights"])
             compartments = np.arange(1, len(weights) + 1)
-            for spring, colour in enumerate((BLUE, ORANGE, GREEN, VERMILLION)):
+            for spring, colour in enumerate(SPRING_COLOURS):
                 axes.bar(
                     compartments + 0.2 * (spring - 1.5),
                     weights[:, spring],
@@ -206,18 +186,15 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
                     label=f"spring {spring + 1}",
                 )
             axes.axhline(0, color=GREY, linewidth=0.6)
-            axes.set_xticks([1, *range(5, len(weights) + 1, 5)])
+            number_compartments(axes, len(weights))
             axes.set_xlim(0.4, len(weights) + 0.6)
             axes.set_ylabel(f"weight of output {number + 1}\n(degrees/m)")
             axes.set_title(f"{CYCLE_LABELS[target]}, R = {entry['amplitude_deg']:g}°", fontsize=9)
-    for axes in panels[-1]:
-        axes.set_xlabel("compartment, from the base")
-    write_letters(list(panels.ravel()))
-    handles, labels = next(
-        (axes.get_legend_handles_labels() for axes in panels.ravel() if axes.patches), ([], [])
-    )
-    figure.legend(handles, labels, fontsize=9, frameon=False, ncols=4, loc="outside lower center")
-    save_figure(figure, path)
+    for axes in panels[:-1].flat:
+        axes.set_xlabel("")
+    write_letters(list(panels.flat))
+    explain_below(figure, panels.flat, columns=4)
+    return figure
 
 
-EXPERIMENT = Experiment("figure12", 1, run, draw, tables)
+FIGURE12 = Experiment("figure12", 1, run, tables, draw)

@@ -6,24 +6,35 @@ The paper shows one such trajectory. Here the lost trials are counted, over many
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from octoarm_agents.experiments.bursts import count_outcomes
-from octoarm_agents.experiments.cycle_settings import BURSTS
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.task2 import (
+from octoarm_agents.common.plotting import (
+    BLACK,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    new_figure,
+    write_letters,
+)
+from octoarm_agents.experiments.cycles.plots import draw_outputs, draw_portrait, explain_outputs
+from octoarm_agents.experiments.cycles.taught import (
     FOLDER,
     TaughtCycle,
-    disturb_all,
+    count_outcomes,
+    disturb_cycles,
     fraction_recovered,
     teach_cycles,
 )
-from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, disturb_cycle
+from octoarm_agents.experiments.cycles.trials import BURST_BEGIN, BURST_END, disturb_cycle
+from octoarm_agents.experiments.plots import say_missing
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable
+from octoarm_agents.reservoir.cycles import BURSTS
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["FIGURE11"]
 
 TARGET = "lissajous"
 OUTCOMES = {
@@ -40,31 +51,30 @@ PAPER = (
 )
 
 
-def run(context: Context) -> dict[str, Any]:
+def run(settings: RunSettings) -> dict[str, Any]:
     """Count the trials that are lost, and show one."""
+    taught = teach_cycles(settings, [TARGET])[TARGET]
+    disturbed = disturb_cycles(settings, taught.values(), BURSTS)
     trainings: dict[str, Any] = {}
     example = None
-    for training, cycles in teach_cycles(context, [TARGET])[TARGET].items():
-        entry = cycles[0].describe() | {"bursts": []}
-        if cycles[0].failure is None:
-            bursts = [(cycles, burst) for burst in BURSTS]
-            for (_, burst), trials in zip(bursts, disturb_all(context, bursts), strict=True):
-                lost = [trial["trial"] for trial in trials if not trial["recovered"]]
-                entry["bursts"].append(
-                    {
-                        "burst_deg": burst,
-                        "lost_fraction": 1 - fraction_recovered(trials),
-                        "lost_trials": lost,
-                        "outcomes": count_outcomes(trials),
-                    }
-                )
-                if lost and example is None:
-                    shown = _show(context, cycles[lost[0] % len(cycles)], burst, lost[0])
-                    example = {"training": training} | shown
-        trainings[training] = entry
+    for (training, cycles), bursts in zip(taught.items(), disturbed, strict=True):
+        entry = trainings[training] = cycles[0].describe() | {"bursts": []}
+        for burst, trials in bursts:
+            lost = [trial["trial"] for trial in trials if not trial["recovered"]]
+            entry["bursts"].append(
+                {
+                    "burst_deg": burst,
+                    "lost_fraction": 1 - fraction_recovered(trials),
+                    "lost_trials": lost,
+                    "outcomes": count_outcomes(trials),
+                }
+            )
+            if lost and example is None:
+                shown = _show(settings, cycles[lost[0] % len(cycles)], burst, lost[0])
+                example = {"training": training} | shown
     return {
         "target": TARGET,
-        "trials": context.trials,
+        "trials": settings.trials,
         "burst_steps": [BURST_BEGIN, BURST_END],
         "trainings": trainings,
         "example": example,
@@ -72,10 +82,10 @@ def run(context: Context) -> dict[str, Any]:
     }
 
 
-def _show(context: Context, cycle: TaughtCycle, burst: float, trial: int) -> dict[str, Any]:
+def _show(settings: RunSettings, cycle: TaughtCycle, burst: float, trial: int) -> dict[str, Any]:
     """One trial again, with its outputs."""
-    settings = {"burst": burst, "seed": context.seed, "trial": trial, "series": True}
-    shown = context.run(FOLDER, disturb_cycle, [cycle.settings | settings])[0]
+    more = {"burst": burst, "seed": settings.seed, "trial": trial, "series": True}
+    (shown,) = settings.run(FOLDER, disturb_cycle, [cycle.settings | more])
     return {
         "amplitude_deg": cycle.teaching.amplitude,
         **{name: shown[name] for name in ("burst_deg", "trial", "failure", "series")},
@@ -98,24 +108,8 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     return [ResultTable(title, ("training", "ε (°)", "lost", "outcomes"), rows, notes)]
 
 
-def draw(result: Mapping[str, Any], path: Path) -> None:
+def draw(result: Mapping[str, Any]) -> Figure:
     """A lost trial over time and as a portrait; the part lost against ε."""
-    from octoarm_agents.common.plotting import (
-        BLACK,
-        GREEN,
-        ORANGE,
-        PURPLE,
-        new_figure,
-        save_figure,
-        write_letters,
-    )
-    from octoarm_agents.experiments.cycle_figures import (
-        draw_outputs,
-        draw_portrait,
-        explain_outputs,
-        say_missing,
-    )
-
     timestep, example = result["body"]["timestep"], result["example"]
     figure = new_figure(11.0, 7.0)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.3))
@@ -128,7 +122,6 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     else:
         series = example["series"]
         draw_outputs(over_time, series, timestep, burst=True, target=False)
-        over_time.set_xlabel("time in closed loop (s)", fontsize=9)
         over_time.set_ylabel("output (degrees)", fontsize=9)
         over_time.set_xlim(left=timestep * (BURST_BEGIN - 2_000))
         failure = example["failure"]
@@ -161,7 +154,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     explain_outputs(
         figure, burst=True, more=[(BLACK, "before the noise"), (ORANGE, "since the noise began")]
     )
-    save_figure(figure, path)
+    return figure
 
 
-EXPERIMENT = Experiment("figure11", 15, run, draw, tables)
+FIGURE11 = Experiment("figure11", 15, run, tables, draw)

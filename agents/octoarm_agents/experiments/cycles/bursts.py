@@ -1,19 +1,30 @@
-"""What Figures 9 and 10 share: noise on the outputs, and the way back to the cycle (3.2)."""
+"""Figures 9 and 10: noise on the outputs, and the way back to the cycle (section 3.2)."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, PAPER_BURSTS
-from octoarm_agents.experiments.runner import Context, ResultTable
-from octoarm_agents.experiments.task2 import disturb_all, fraction_recovered, teach_cycles
-from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END, BURST_RUN
+from octoarm_agents.common.plotting import BLACK, ORANGE, new_figure, write_letters
+from octoarm_agents.experiments.cycles.plots import draw_outputs, draw_portrait, explain_outputs
+from octoarm_agents.experiments.cycles.taught import (
+    TRIALS,
+    count_outcomes,
+    disturb_cycles,
+    fraction_recovered,
+    teach_cycles,
+)
+from octoarm_agents.experiments.cycles.trials import BURST_BEGIN, BURST_END, BURST_RUN
+from octoarm_agents.experiments.plots import say_missing
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable, format_number
+from octoarm_agents.reservoir.cycles import CYCLE_LABELS, PAPER_BURSTS
 
-__all__ = ["burst_tables", "count_outcomes", "draw_bursts", "run_bursts"]
+__all__ = ["FIGURE9", "FIGURE10"]
 
 _END_STEPS = 6_000
 """Steps of the portrait's last part."""
@@ -25,29 +36,20 @@ PAPER = {
 }
 
 
-def run_bursts(context: Context, target: str) -> dict[str, Any]:
-    """Disturb a cycle, taught as in the paper and by the weighted ridge, with the paper's ε.
-
-    Args:
-        context: of the experiment; its trials are seeds of the noise.
-        target: name of the limit cycle, one that the paper disturbs.
-    """
-    trainings: dict[str, Any] = {}
-    for training, cycles in teach_cycles(context, [target])[target].items():
-        entry = cycles[0].describe() | {"bursts": []}
-        if cycles[0].failure is None:
-            bursts = [(cycles, burst) for burst in PAPER_BURSTS[target]]
-            for (_, burst), trials in zip(
-                bursts, disturb_all(context, bursts, series=True), strict=True
-            ):
-                entry["bursts"].append({"burst_deg": burst} | _summarise(trials))
-        trainings[training] = entry
+def run(target: str, settings: RunSettings) -> dict[str, Any]:
+    """Disturb a cycle, taught as in the paper and by the weighted ridge, with the paper's ε."""
+    taught = teach_cycles(settings, [target])[target]
+    disturbed = disturb_cycles(settings, taught.values(), PAPER_BURSTS[target])
     return {
         "target": target,
-        "trials": context.trials,
+        "trials": settings.trials,
         "burst_steps": [BURST_BEGIN, BURST_END],
         "steps": BURST_RUN,
-        "trainings": trainings,
+        "trainings": {
+            training: cycles[0].describe()
+            | {"bursts": [{"burst_deg": burst} | _summarise(trials) for burst, trials in bursts]}
+            for (training, cycles), bursts in zip(taught.items(), disturbed, strict=True)
+        },
         "paper": PAPER[target],
     }
 
@@ -66,75 +68,38 @@ def _summarise(trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """How many disturbed runs ended how: ``recovered``, the failures' reasons, ``off_cycle``."""
-    outcomes: dict[str, int] = {}
-    for trial in trials:
-        if trial["recovered"]:
-            name = "recovered"
-        elif trial["failure"] is not None:
-            name = trial["failure"]["reason"]
-        else:
-            name = "off_cycle"
-        outcomes[name] = outcomes.get(name, 0) + 1
-    return outcomes
-
-
-def burst_tables(result: Mapping[str, Any]) -> list[ResultTable]:
-    """What was recovered from, by base and ε."""
+def tables(result: Mapping[str, Any]) -> list[ResultTable]:
+    """What was recovered from, by training and ε."""
     rows = []
     notes = [f"The paper: {result['paper']}"]
     for training, entry in result["trainings"].items():
         if entry["teaching_failure"] is not None:
             notes.append(f"{training}: {entry['teaching_failure']['message']}.")
         for burst in entry["bursts"]:
-            seconds, shift = burst["median_recovery_seconds"], burst["median_phase_shift_turns"]
             rows.append(
                 (
                     training,
                     f"{entry['amplitude_deg']:g}",
                     f"{burst['burst_deg']:.3g}",
                     f"{burst['recovered_fraction']:.0%}",
-                    "–" if seconds is None else f"{seconds:.2f}",
-                    "–" if shift is None else f"{shift:.3f}",
+                    format_number(burst["median_recovery_seconds"], ".2f"),
+                    format_number(burst["median_phase_shift_turns"], ".3f"),
                 )
             )
-    columns = (
-        "training",
-        "R (°)",
-        "ε (°)",
-        "recovered",
-        "time to recover (s)",
-        "phase shift (turns)",
-    )
+    told = ("recovered", "time to recover (s)", "phase shift (turns)")
     title = f"The {CYCLE_LABELS[result['target']]} under noise, {result['trials']} seeds"
-    return [ResultTable(title, columns, rows, notes)]
+    return [ResultTable(title, ("training", "R (°)", "ε (°)", *told), rows, notes)]
 
 
-def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
+def draw(result: Mapping[str, Any]) -> Figure:
     """A row an ε: outputs over time around the noise, and the portrait, for both trainings."""
-    from octoarm_agents.common.plotting import (
-        BLACK,
-        ORANGE,
-        new_figure,
-        save_figure,
-        write_letters,
-    )
-    from octoarm_agents.experiments.cycle_figures import (
-        draw_outputs,
-        draw_portrait,
-        explain_outputs,
-        say_missing,
-    )
-
     timestep = result["body"]["timestep"]
     figure = new_figure(13.0, 9.0)
     grid = figure.add_gridspec(3, 4, width_ratios=(2.0, 1.0, 2.0, 1.0))
     panels = []
     for side, (training, entry) in enumerate(result["trainings"].items()):
         for row in range(3):
-            left = figure.add_subplot(grid[row, 2 * side])
-            right = figure.add_subplot(grid[row, 2 * side + 1])
+            left, right = (figure.add_subplot(grid[row, 2 * side + k]) for k in range(2))
             panels += [left, right]
             burst = entry["bursts"][row] if entry["bursts"] else None
             failure = entry["teaching_failure"] if burst is None else burst["shown"]["failure"]
@@ -145,22 +110,19 @@ def draw_bursts(result: Mapping[str, Any], path: Path) -> None:
                 continue
             series = burst["shown"]["series"]
             draw_outputs(left, series, timestep, burst=True)
-            left.set_xlim(timestep * (BURST_BEGIN - 1_500), timestep * (BURST_END + 4_000))
-            left.set_xlabel("time in closed loop (s)")
             left.set_ylabel("output (degrees)")
-            steps = np.array(series["step"])
-            outputs = np.array(series["outputs_deg"])
+            left.set_xlim(timestep * (BURST_BEGIN - 1_500), timestep * (BURST_END + 4_000))
+            steps, outputs = np.array(series["step"]), np.array(series["outputs_deg"])
             disturbed = (steps >= BURST_BEGIN) & (steps < BURST_RUN - _END_STEPS)
-            turn = np.array(series["target_deg"])[:, :200]
             curves = [(outputs[:, disturbed], ORANGE)]
             if failure is None:
                 curves.append((outputs[:, steps >= BURST_RUN - _END_STEPS], BLACK))
-            draw_portrait(right, turn, curves)
+            draw_portrait(right, np.array(series["target_deg"])[:, :200], curves)
     write_letters(panels)
     explain_outputs(
         figure, burst=True, more=[(ORANGE, "noise and way back"), (BLACK, "end of the run")]
     )
-    save_figure(figure, path)
+    return figure
 
 
 def _title(training: str, burst: Mapping[str, Any] | None) -> str:
@@ -168,3 +130,7 @@ def _title(training: str, burst: Mapping[str, Any] | None) -> str:
         return f"{training} training"
     fraction = burst["recovered_fraction"]
     return f"{training} training, ε = {burst['burst_deg']:.3g}°: {fraction:.0%} recovered"
+
+
+FIGURE9 = Experiment("figure9", TRIALS, functools.partial(run, "quadratic"), tables, draw)
+FIGURE10 = Experiment("figure10", TRIALS, functools.partial(run, "lissajous"), tables, draw)

@@ -15,11 +15,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
-from octoarm_agents.experiments.cycle_settings import CYCLE_LABELS, CYCLES
-from octoarm_agents.experiments.floquet_trials import (
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from octoarm_agents.common.plotting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    VERMILLION,
+    new_figure,
+    write_letters,
+)
+from octoarm_agents.experiments.cycles.floquet_trials import (
     PHASE_ERROR,
     RESPONSE_NOISES,
     RESPONSE_TURNS,
@@ -27,11 +39,14 @@ from octoarm_agents.experiments.floquet_trials import (
     is_thrown_far,
     probe_loops,
 )
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.task2 import FOLDER
+from octoarm_agents.experiments.cycles.taught import FOLDER
+from octoarm_agents.experiments.plots import say_missing
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE
+from octoarm_agents.reservoir.cycles import CYCLE_LABELS, CYCLES
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["FLOQUET"]
 
 STEPS = 20_000
 AMPLITUDES = (0.5, 1.0, 1.5)
@@ -42,26 +57,26 @@ FACTORS = (0.0, 0.1, 1.0, 10.0)
 """ν [m], and factors of the cycle's own κ; 0 is the paper's training."""
 
 
-def run(context: Context) -> dict[str, Any]:
+_COLOURS = (VERMILLION, PURPLE, BLUE, GREEN)
+_MARKERS = "osD"
+
+_EXPONENTS = (-3.0, 1e3)
+_LEFT = 1e6
+"""Response at which loops are drawn whose arm left its domain, above all others."""
+
+
+def run(settings: RunSettings) -> dict[str, Any]:
     """Numbers and fate of every loop of the grid."""
-    steps = STEPS if context.steps is None else context.steps
-    teachings = [
-        replace(
-            trainings["weighted"],
-            amplitude=amplitude,
-            seed=trainings["weighted"].seed + context.seed,
-        )
-        for trainings in CYCLES.values()
-        for amplitude in _amplitudes(trainings["weighted"].amplitude, context)
-    ]
-    results = context.run(
-        FOLDER,
-        probe_loops,
-        [
-            {"teaching": asdict(each), "noises": NOISES, "factors": FACTORS, "steps": steps}
-            for each in teachings
-        ],
-    )
+    steps = STEPS if settings.steps is None else settings.steps
+    teachings = []
+    for trainings in CYCLES.values():
+        own = trainings["weighted"]
+        tried = [round(part * own.amplitude, 6) for part in AMPLITUDES]
+        for amplitude in tried if settings.amplitude is None else [settings.amplitude]:
+            teachings.append(replace(own, amplitude=amplitude, seed=own.seed + settings.seed))
+    grid = {"noises": NOISES, "factors": FACTORS, "steps": steps}
+    trials = [{"teaching": asdict(each)} | grid for each in teachings]
+    results = settings.run(FOLDER, probe_loops, trials)
     cycles: dict[str, list[dict[str, Any]]] = {target: [] for target in CYCLES}
     for teaching, result in zip(teachings, results, strict=True):
         cycles[teaching.target].append(
@@ -81,12 +96,6 @@ def run(context: Context) -> dict[str, Any]:
         "cycles": cycles,
         "verdict": _judge([loop for _, _, loop in _all_loops(cycles)]),
     }
-
-
-def _amplitudes(own: float, context: Context) -> tuple[float, ...]:
-    if context.amplitude is not None:
-        return (context.amplitude,)
-    return tuple(round(part * own, 6) for part in AMPLITUDES)
 
 
 def _all_loops(
@@ -182,11 +191,106 @@ def _lost_though_stable(result: Mapping[str, Any]) -> ResultTable:
     return ResultTable("Lost though stable by their exponents", columns, rows, notes)
 
 
-def draw(result: Mapping[str, Any], path: Path) -> None:
-    """Exponents over ν, a row an R and a column a cycle; below, what became of all loops."""
-    from octoarm_agents.experiments.floquet_figure import draw_floquet
+def draw(result: Mapping[str, Any]) -> Figure:
+    """Exponents over ν, a row an R and a column a cycle; below, all loops and what became of them."""
+    cycles = result["cycles"]
+    rows = max(len(entries) for entries in cycles.values())
+    figure = new_figure(13.0, 3.2 + 2.7 * rows)
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(rows, 1.25))[:, 0]
+    panels = above.subplots(rows, len(cycles), sharex=True, sharey=True, squeeze=False)
+    factors = sorted(
+        {loop["factor"] for entries in cycles.values() for e in entries for loop in e["loops"]}
+    )
+    colours = dict(zip(factors, _COLOURS, strict=False))
+    for column, (target, entries) in zip(panels.T, cycles.items(), strict=True):
+        for axes, entry in zip(column, entries, strict=True):
+            _draw_exponents(axes, entry, colours)
+            axes.set_title(f"{CYCLE_LABELS[target]}, R = {entry['amplitude_deg']:g}°", fontsize=9)
+    for axes in panels[-1]:
+        axes.set_xlabel("noise of the training ν (m)")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("leading exponent (1/s)")
+    left, right = below.subplots(1, 2, sharey=True)
+    _draw_fates(left, right, result, colours)
+    write_letters([*panels.ravel(), left, right])
+    handles = [
+        Line2D([], [], color=colour, marker="o", label=_label(factor))
+        for factor, colour in colours.items()
+    ]
+    handles += [
+        Line2D([], [], color=BLACK, marker="o", linestyle="", label="held"),
+        Line2D([], [], color=BLACK, marker="o", linestyle="", fillstyle="none", label="lost"),
+    ]
+    handles += [
+        Line2D([], [], color=GREY, marker=marker, linestyle="", label=f"{CYCLE_LABELS[target]}")
+        for target, marker in zip(cycles, _MARKERS, strict=False)
+    ]
+    figure.legend(handles=handles, fontsize=9, frameon=False, ncols=5, loc="outside lower center")
+    return figure
 
-    draw_floquet(result, path)
+
+def _label(factor: float) -> str:
+    return "the paper's ridge" if factor == 0 else f"weighted ridge, {factor:g} κ"
 
 
-EXPERIMENT = Experiment("floquet", 1, run, draw, tables)
+def _draw_exponents(axes: Axes, entry: Mapping[str, Any], colours: Mapping[float, str]) -> None:
+    """The leading exponent of an R against ν, a line a factor."""
+    if entry["failure"] is not None:
+        say_missing(axes, entry["failure"])
+        return
+    axes.axhspan(_EXPONENTS[0], 0, color=GREEN, alpha=0.08, linewidth=0)
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    for factor, colour in colours.items():
+        loops = [
+            loop
+            for loop in entry["loops"]
+            if loop["factor"] == factor and loop["leading_exponent"] is not None
+        ]
+        noises = [loop["noise"] for loop in loops]
+        exponents = [loop["leading_exponent"] for loop in loops]
+        axes.plot(noises, exponents, color=colour, linewidth=1.1)
+        for loop in loops:
+            _mark(axes, loop["noise"], loop["leading_exponent"], colour, loop["held"])
+    axes.set_xscale("log")
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_ylim(*_EXPONENTS)
+
+
+def _draw_fates(
+    left: Axes, right: Axes, result: Mapping[str, Any], colours: Mapping[float, str]
+) -> None:
+    """Response to noise, of all loops against the exponent, of the stable against the error."""
+    left.axvspan(_EXPONENTS[0], 0, color=GREEN, alpha=0.08, linewidth=0)
+    left.axvline(0, color=GREY, linewidth=0.8)
+    right.set_facecolor(f"{GREEN}14")  # as the other: an opacity of 0.08
+    for marker, entries in zip(_MARKERS, result["cycles"].values(), strict=False):
+        for entry in entries:
+            for loop in entry["loops"]:
+                if loop["leading_exponent"] is None:
+                    continue
+                response = loop["responses"][-1]
+                value = _LEFT if response is None else response
+                colour, held = colours[loop["factor"]], loop["held"]
+                _mark(left, loop["leading_exponent"], value, colour, held, marker)
+                if is_stable(loop):
+                    _mark(right, loop["training_error"], value, colour, held, marker)
+    for axes in (left, right):
+        axes.set_yscale("log")
+    left.set_xscale("symlog", linthresh=1.0)
+    left.set_xlim(*_EXPONENTS)
+    left.set_xlabel("leading exponent (1/s)")
+    left.set_title("all loops", fontsize=9)
+    size = result["response_noises"][-1]
+    left.set_ylabel(f"response to noise of {size:g} R\n(top: the arm left its domain)")
+    right.set_xscale("log")
+    right.set_xlabel("training error / R")
+    right.set_title("loops with a negative exponent", fontsize=9)
+
+
+def _mark(axes: Axes, x: float, y: float, colour: str, held: bool, marker: str = "o") -> None:
+    """A point, filled if the cycle was held."""
+    face = colour if held else "white"
+    axes.plot([x], [y], marker=marker, markersize=6, color=colour, markerfacecolor=face, zorder=3)
+
+
+FLOQUET = Experiment("floquet", 1, run, tables, draw)

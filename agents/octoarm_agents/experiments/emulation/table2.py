@@ -7,26 +7,42 @@ no simple structure, errors under sensor noise, training errors, and the rank of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from octoarm_agents.common.intervals import summarise, welch_p_value
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.task1 import (
+from octoarm_agents.common.plotting import (
+    BLUE,
+    GREY,
+    ORANGE,
+    TASK_LABELS,
+    VERMILLION,
+    new_figure,
+    write_letters,
+)
+from octoarm_agents.experiments.emulation.protocol import (
     HOLD_STEPS,
     INPUTS,
     PAPER,
     RANGE,
+    TASK_HEADINGS,
     TASKS,
     TRIALS,
-    check_timestep,
 )
-from octoarm_agents.experiments.task1_trials import compare_methods, record_trials
+from octoarm_agents.experiments.emulation.trials import (
+    compare_methods,
+    list_failures,
+    make_trials,
+    note_failures,
+)
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable, format_number, format_spread
 from octoarm_agents.reservoir.baselines import BASELINES
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["TABLE2"]
 
 METHODS = ("arm", *BASELINES)
 
@@ -37,72 +53,62 @@ IID_RANGE_FACTOR = 0.5
 """The random input is driven at half of R: at R = 60 its largest leaps, of up to 120 degrees within
 50 ms, throw a directly driven arm out of its domain; at 30 they do not."""
 
+_LABELS = {
+    "arm": "arm",
+    "linear_regressor": "linear regressor",
+    "mean_predictor": "training mean",
+    "cubic": "cubic of In(t)",
+    "delay2": "11 delays, degree 2",
+    "delay3": "6 delays, degree 3",
+    "esn80": "80-node network",
+}
 
-def run(context: Context) -> dict[str, Any]:
+
+def run(settings: RunSettings) -> dict[str, Any]:
     """The table, as the keys of ``table2.json``."""
-    check_timestep(context.parameters)
-    assert context.trials is not None
-    amplitude = RANGE if context.amplitude is None else context.amplitude
-    amplitudes = {"sines": amplitude, "iid": amplitude * IID_RANGE_FACTOR}
-    results = context.run(
-        "table2",
-        compare_methods,
-        [
-            {
-                "kind": kind,
-                "amplitude": amplitudes[kind],
-                "seed": context.seed,
-                "trial": trial,
-                "sensor_noise": list(SENSOR_NOISE),
-            }
-            for kind in INPUTS
-            for trial in range(context.trials)
-        ],
-        record=record_trials,
-    )
-    sines, iid = results[: context.trials], results[context.trials :]
-    table = _tabulate(sines, amplitudes["sines"])
-    for task in TASKS:
-        entry, paper = table["tasks"][task], PAPER[task]
+    amplitude = RANGE if settings.amplitude is None else settings.amplitude
+    amplitudes = (amplitude, amplitude * IID_RANGE_FACTOR)
+    points = [
+        {"kind": kind, "amplitude": amplitude, "sensor_noise": SENSOR_NOISE}
+        for kind, amplitude in zip(INPUTS, amplitudes, strict=True)
+    ]
+    results = make_trials(settings, "table2", compare_methods, points)
+    table, iid = map(_tabulate, results, amplitudes)
+    for task, paper in PAPER.items():
+        entry = table["tasks"][task]
         entry["paper"] = {method: mean for method, (mean, _) in paper.items()}
         entry["paper_sd"] = {method: sd for method, (_, sd) in paper.items()}
         entry["ratio_to_paper"] = {
             method: None if entry[method]["mean"] is None else entry[method]["mean"] / mean
             for method, (mean, _) in paper.items()
         }
-    return table | {"iid": _tabulate(iid, amplitudes["iid"]) | {"hold_steps": HOLD_STEPS}}
+    return table | {"iid": iid | {"hold_steps": HOLD_STEPS}}
 
 
 def _tabulate(trials: Sequence[Mapping[str, Any]], amplitude: float) -> dict[str, Any]:
     """The table of one input."""
     finished = [trial for trial in trials if trial["failure"] is None]
+
+    def errors(method: str, phase: str, task: str) -> list[float]:
+        if method == "arm":
+            return [trial["arm"][phase][task] for trial in finished]
+        return [trial["baselines"][method][phase][task] for trial in trials]
+
     tasks: dict[str, Any] = {}
     for task in TASKS:
-        errors = {
-            phase: {"arm": [trial["arm"][phase][task] for trial in finished]}
-            | {
-                name: [trial["baselines"][name][phase][task] for trial in trials]
-                for name in BASELINES
-            }
-            for phase in ("test", "training")
-        }
         tasks[task] = {
-            method: summarise(errors["test"][method])
-            | {"training_mean": summarise(errors["training"][method])["mean"]}
+            method: summarise(errors(method, "test", task))
+            | {"training_mean": summarise(errors(method, "training", task))["mean"]}
             for method in METHODS
         }
         tasks[task]["p_value"] = welch_p_value(
-            errors["test"]["arm"], errors["test"]["linear_regressor"]
+            errors("arm", "test", task), errors("linear_regressor", "test", task)
         )
     ranks = [trial["state_rank"] for trial in finished]
     return {
         "range_deg": amplitude,
         "trials": len(trials),
-        "failures": [
-            {"trial": trial["trial"]} | trial["failure"]
-            for trial in trials
-            if trial["failure"] is not None
-        ],
+        "failures": list_failures(trials),
         "initial_steps": [trial["initial_steps"] for trial in trials],
         "state_rank": float(np.median(ranks)) if ranks else None,
         "tasks": tasks,
@@ -126,66 +132,37 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
             "Mean squared error of the arm with noise on the lengths, input of Eq. 17",
             ("standard deviation", *TASK_HEADINGS),
             [
-                (
-                    f"{level['sd_metres']:.0e} m",
-                    *(_mean_and_spread(level[task]) for task in TASKS),
-                )
+                (f"{level['sd_metres']:.0e} m", *(_told(level[task]) for task in TASKS))
                 for level in result["sensor_noise"]
             ],
         ),
     ]
 
 
-TASK_HEADINGS = ("2nd order", "10th order", "Volterra")
-
-_METHOD_LABELS = {
-    "arm": "arm",
-    "linear_regressor": "linear regressor",
-    "mean_predictor": "training mean",
-    "cubic": "cubic of In(t)",
-    "delay2": "11 delays, degree 2",
-    "delay3": "6 delays, degree 3",
-    "esn80": "80-node network",
-}
-
-
 def _error_table(title: str, table: Mapping[str, Any]) -> ResultTable:
     tasks = [table["tasks"][task] for task in TASKS]
     rows = []
     for method in METHODS:
-        rows.append((_METHOD_LABELS[method], *(_mean_and_spread(entry[method]) for entry in tasks)))
+        rows.append((_LABELS[method], *(_told(entry[method]) for entry in tasks)))
         if method in tasks[0].get("paper", ()):
-            rows.append(
-                (
-                    "  in the paper",
-                    *(f"{e['paper'][method]:.2e} ± {e['paper_sd'][method]:.0e}" for e in tasks),
-                )
-            )
-    rows.append(("p, arm / regressor", *(_number(entry["p_value"]) for entry in tasks)))
-    notes = [f"Trial {each['trial']} failed: {each['message']}." for each in table["failures"]]
+            papers = (format_spread(e["paper"][method], e["paper_sd"][method]) for e in tasks)
+            rows.append(("  in the paper", *papers))
+    rows.append(("p, arm / regressor", *(format_number(entry["p_value"]) for entry in tasks)))
     return ResultTable(
         f"{title}, R = {table['range_deg']:g}°, {table['trials']} trials,"
-        f" state rank {_number(table['state_rank'], 'g')}",
+        f" state rank {format_number(table['state_rank'], 'g')}",
         ("method", *TASK_HEADINGS),
         rows,
-        notes,
+        note_failures(table),
     )
 
 
-def _mean_and_spread(summary: Mapping[str, Any]) -> str:
-    spread = "" if summary["sd"] is None else f" ± {summary['sd']:.0e}"
-    return f"{_number(summary['mean'])}{spread}"
+def _told(summary: Mapping[str, Any]) -> str:
+    return format_spread(summary["mean"], summary["sd"])
 
 
-def _number(value: float | None, form: str = ".2e") -> str:
-    return "–" if value is None else f"{value:{form}}"
-
-
-def draw(result: Mapping[str, Any], path: Path) -> None:
+def draw(result: Mapping[str, Any]) -> Figure:
     """Bars on a logarithmic axis: a row for each input, a column for each task."""
-    from octoarm_agents.common.plotting import TASK_LABELS, new_figure, save_figure
-    from octoarm_agents.common.plotting import write_letters as letter
-
     figure = new_figure(12.0, 6.6)
     panels = figure.subplots(2, 3)
     for row, (table, name) in enumerate(((result, "input of Eq. 17"), (result["iid"], "i.i.d."))):
@@ -194,21 +171,19 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             _draw_bars(axes, table["tasks"][task], labelled=column == 0)
             axes.set_xlabel(f"mean squared error, {name}, R = {table['range_deg']:g}°")
             axes.set_title(TASK_LABELS[task], fontsize=10)
-    letter(list(panels.flat))
-    save_figure(figure, path)
+    write_letters(panels.flat)
+    return figure
 
 
-def _draw_bars(axes: Any, entry: Mapping[str, Any], *, labelled: bool) -> None:
+def _draw_bars(axes: Axes, entry: Mapping[str, Any], *, labelled: bool) -> None:
     """One bar a method, with its standard deviation and its value."""
-    from octoarm_agents.common.plotting import BLUE, GREY, ORANGE, VERMILLION
-
     bars: list[tuple[str, float | None, float | None, str]] = []
     for method in METHODS:
         colour = {"arm": BLUE, "linear_regressor": VERMILLION}.get(method, GREY)
         summary = entry[method]
-        bars.append((_METHOD_LABELS[method], summary["mean"], summary["sd"], colour))
+        bars.append((_LABELS[method], summary["mean"], summary["sd"], colour))
         if method in entry.get("paper", ()):
-            label = f"{_METHOD_LABELS[method]}, paper"
+            label = f"{_LABELS[method]}, paper"
             bars.append((label, entry["paper"][method], entry["paper_sd"][method], ORANGE))
     values = [mean for _, mean, _, _ in bars if mean is not None]
     high = max(values)
@@ -229,4 +204,4 @@ def _draw_bars(axes: Any, entry: Mapping[str, Any], *, labelled: bool) -> None:
     axes.set_ylim(len(bars) - 0.4, -0.6)
 
 
-EXPERIMENT = Experiment("table2", TRIALS, run, draw, tables)
+TABLE2 = Experiment("table2", TRIALS, run, tables, draw)

@@ -7,18 +7,27 @@ length, which a finite precision hides first, so that the same runs are also rea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from octoarm_agents.common.intervals import summarise
-from octoarm_agents.experiments.runner import Context, Experiment, ResultTable
-from octoarm_agents.experiments.task1 import TASKS, TRIALS, check_timestep
-from octoarm_agents.experiments.task1_trials import record_trials, score_arm
+from octoarm_agents.common.plotting import (
+    BLACK,
+    GREY,
+    TASK_COLOURS,
+    TASK_LABELS,
+    new_figure,
+    write_letters,
+)
+from octoarm_agents.experiments.emulation.protocol import TASK_HEADINGS, TASKS, TRIALS
+from octoarm_agents.experiments.emulation.trials import list_failures, make_trials, score_arm
+from octoarm_agents.experiments.runner import Experiment, RunSettings
+from octoarm_agents.experiments.tables import ResultTable, format_number, observation_table
 
-__all__ = ["EXPERIMENT", "RANGES", "SENSOR_NOISE", "check_features"]
+__all__ = ["FIGURE5A", "RANGES", "SENSOR_NOISE", "check_features"]
 
 RANGES = tuple(float(amplitude) for amplitude in range(15, 91, 5))
 """R [degrees]."""
@@ -36,38 +45,24 @@ PAPER_FEATURES = {
 }
 """What section 3.1 says of the figure."""
 
+_QUARTILES = ("lower_quartile", "median", "upper_quartile")
+
 AROUND = 5.0
 """How far from the R that the paper names "around" reaches: one point of the grid [degrees]."""
 
 
-def run(context: Context) -> dict[str, Any]:
+def run(settings: RunSettings) -> dict[str, Any]:
     """Errors at each R, without and with noise; ``--amplitude`` restricts the grid to that R."""
-    check_timestep(context.parameters)
-    assert context.trials is not None
-    ranges = RANGES if context.amplitude is None else (context.amplitude,)
-    results = context.run(
-        "figure5a",
-        score_arm,
-        [
-            {
-                "kind": "sines",
-                "amplitude": amplitude,
-                "seed": context.seed,
-                "trial": trial,
-                "sensor_noise": list(SENSOR_NOISE),
-            }
-            for amplitude in ranges
-            for trial in range(context.trials)
-        ],
-        record=record_trials,
-    )
-    by_range = {
-        amplitude: results[index * context.trials : (index + 1) * context.trials]
-        for index, amplitude in enumerate(ranges)
-    }
+    ranges = RANGES if settings.amplitude is None else (settings.amplitude,)
+    points = [
+        {"kind": "sines", "amplitude": amplitude, "sensor_noise": SENSOR_NOISE}
+        for amplitude in ranges
+    ]
+    trials = make_trials(settings, "figure5a", score_arm, points)
+    by_range = dict(zip(ranges, trials, strict=True))
     return {
         "ranges_deg": list(ranges),
-        "trials": context.trials,
+        "trials": settings.trials,
         "paper": PAPER_FEATURES,
         **_collect(by_range),
         "sensor_noise": {
@@ -106,17 +101,8 @@ def _point(
     for task in TASKS:
         errors = [each["test"][task] for each in scores]
         quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
-        names = ("lower_quartile", "median", "upper_quartile")
-        tasks[task] = summarise(errors) | dict(zip(names, quartiles, strict=True))
-    return {
-        "range_deg": amplitude,
-        "failures": [
-            {"trial": trial["trial"]} | trial["failure"]
-            for trial in trials
-            if trial["failure"] is not None
-        ],
-        "tasks": tasks,
-    }
+        tasks[task] = summarise(errors) | dict(zip(_QUARTILES, quartiles, strict=True))
+    return {"range_deg": amplitude, "failures": list_failures(trials), "tasks": tasks}
 
 
 def check_features(
@@ -163,32 +149,20 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     rows = [
         (
             f"{point['range_deg']:g}",
-            *(
-                "–"
-                if point["tasks"][task]["median"] is None
-                else f"{point['tasks'][task]['median']:.2e}"
-                for task in TASKS
-            ),
+            *(format_number(point["tasks"][task]["median"]) for task in TASKS),
             str(len(point["failures"])),
         )
         for point in result["points"]
     ]
-    by_range = ResultTable(
-        f"Median of the mean squared error, {result['trials']} trials",
-        ("R (degrees)", "2nd order", "10th order", "Volterra", "failed trials"),
-        rows,
-    )
+    title = f"Median of the mean squared error, {result['trials']} trials"
+    by_range = ResultTable(title, ("R (degrees)", *TASK_HEADINGS, "failed trials"), rows)
     if result["confirmed"] is None:
         return [by_range]
-    noisy = result["sensor_noise"].values()
-    answers = [result["confirmed"], *(each["confirmed"] for each in noisy)]
-    features = [
-        (text, *("yes" if confirmed[name] else "no" for confirmed in answers))
-        for name, text in result["paper"].items()
-    ]
-    columns = ("", "without noise", *(_describe_noise(each) for each in noisy))
     title = "The paper's observations confirmed, without and with noise on the lengths"
-    return [by_range, ResultTable(title, columns, features)]
+    answers = {"without noise": result["confirmed"]} | {
+        _describe_noise(each): each["confirmed"] for each in result["sensor_noise"].values()
+    }
+    return [by_range, observation_table(title, result["paper"], answers)]
 
 
 def _describe_noise(noisy: Mapping[str, Any]) -> str:
@@ -196,21 +170,11 @@ def _describe_noise(noisy: Mapping[str, Any]) -> str:
     return f"±{noisy['half_width_metres'] * 1000:g} mm"
 
 
-def draw(result: Mapping[str, Any], path: Path) -> None:
+def draw(result: Mapping[str, Any]) -> Figure:
     """Median and quartiles against R, one panel a task; a mark where trials failed.
 
     Of the errors under noise there are the medians alone, as thinner lines.
     """
-    from octoarm_agents.common.plotting import (
-        BLACK,
-        GREY,
-        TASK_COLOURS,
-        TASK_LABELS,
-        new_figure,
-        save_figure,
-        write_letters,
-    )
-
     figure = new_figure(11.0, 3.8)
     panels = figure.subplots(1, 3)
     failed = [point for point in result["points"] if point["failures"]]
@@ -256,19 +220,18 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     # Error bars are listed last whenever they were drawn; the main series comes first here.
     handles, labels = (each[-1:] + each[:-1] for each in (handles, labels))
     figure.legend(handles, labels, fontsize=8, frameon=False, ncols=4, loc="outside lower center")
-    write_letters(list(panels))
-    save_figure(figure, path)
+    write_letters(panels)
+    return figure
 
 
 def _quartiles(points: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.float64]:
     """R [degrees], lower quartile, median and upper quartile where any trial succeeded: (4, n)."""
-    names = ("lower_quartile", "median", "upper_quartile")
     rows = [
-        (point["range_deg"], *(point["tasks"][task][name] for name in names))
+        (point["range_deg"], *(point["tasks"][task][name] for name in _QUARTILES))
         for point in points
         if point["tasks"][task]["median"] is not None
     ]
     return np.array(rows, dtype=np.float64).reshape(-1, 4).T
 
 
-EXPERIMENT = Experiment("figure5a", TRIALS, run, draw, tables)
+FIGURE5A = Experiment("figure5a", TRIALS, run, tables, draw)

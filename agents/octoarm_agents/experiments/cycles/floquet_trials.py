@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.experiments.task2_trials import hold_cycle
+from octoarm_agents.experiments.cycles.trials import TaughtLoop, hold_cycle
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
 from octoarm_agents.reservoir.floquet import TeacherRun
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
@@ -86,14 +86,8 @@ def probe_loops(
     loops = []
     for factor, noise, weights, training_error in fits:
         exponents = [float(value) for value in lesson.exponents(weights, averaged)]
-        held = hold_cycle(
-            parameters,
-            target=how.target,
-            amplitude=how.amplitude,
-            actuator=lesson.run.actuator,
-            weights=weights.tolist(),
-            steps=steps,
-        )
+        loop = TaughtLoop(how.target, how.amplitude, lesson.run.actuator, weights.tolist())
+        held = hold_cycle(parameters, loop=vars(loop), steps=steps)
         loops.append(
             {
                 "factor": factor,

@@ -1,8 +1,8 @@
 """The small search that chose the echo state network's settings for Task 1.
 
-``python -m octoarm_agents.experiments.esn_search`` prints the settings of the grid, best first.
-They are ranked by the mean over the three tasks and both inputs of log10 of the test error, on one
-trial of a seed that no table uses.
+``python -m octoarm_agents.experiments.emulation.esn_search`` prints the settings of the grid, best
+first. They are ranked by the mean over the three tasks and both inputs of log10 of the test error,
+on one trial of a seed that no table uses.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from octoarm_agents.experiments.task1 import INPUTS, Drive, score_features
+from octoarm_agents.experiments.emulation.protocol import INPUTS, Drive, score_features
 from octoarm_agents.reservoir.baselines import echo_state_network
 
 __all__ = ["GRID", "SEED", "main", "rank_settings"]

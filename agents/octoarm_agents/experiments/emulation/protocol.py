@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.common.lanes import Recording, record_arms
-from octoarm_agents.experiments.refusal import RefusedError
+from octoarm_agents.experiments.runner import RefusedError
 from octoarm_agents.reservoir.emulation import SYSTEMS, emulation_targets
 from octoarm_agents.reservoir.inputs import (
     PEAK,
@@ -24,7 +24,7 @@ from octoarm_agents.reservoir.inputs import (
     smooth_noise,
 )
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_env import Arm, ArmParameters, DomainError
+from octoarm_env import Arm, ArmParameters
 
 __all__ = [
     "HOLD_STEPS",
@@ -33,6 +33,7 @@ __all__ = [
     "PAPER",
     "RANGE",
     "TASKS",
+    "TASK_HEADINGS",
     "TEST_STEPS",
     "TRAINING_STEPS",
     "TRIALS",
@@ -41,10 +42,8 @@ __all__ = [
     "check_timestep",
     "fit_readout",
     "mean_squared_errors",
-    "record_lengths",
     "record_many",
     "score_features",
-    "trial_streams",
 ]
 
 Float = NDArray[np.float64]
@@ -65,6 +64,9 @@ INPUTS = ("sines", "iid")
 """Eq. 17, and `smooth_noise`."""
 
 TASKS = tuple(SYSTEMS)
+
+TASK_HEADINGS = ("2nd order", "10th order", "Volterra")
+"""Columns of the printed tables, in the order of `TASKS`."""
 
 PAPER: dict[str, dict[str, tuple[float, float]]] = {
     "second_order": {"arm": (1.84e-7, 0.05e-7), "linear_regressor": (1.01e-6, 0.03e-6)},
@@ -104,7 +106,7 @@ class Drive:
         Raises:
             ValueError: an unknown kind.
         """
-        random = np.random.default_rng(np.random.SeedSequence([seed, trial]))
+        random = np.random.default_rng([seed, trial])
         initial = int(random.integers(0, INITIAL_STEPS, endpoint=True))
         steps = initial + WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
         if kind == "sines":
@@ -129,40 +131,6 @@ class Drive:
         return slice(begin, begin + TEST_STEPS)
 
 
-def trial_streams(seed: int, trial: int, count: int) -> list[np.random.Generator]:
-    """Generators of a trial for what is random beside the input, independent of it.
-
-    Args:
-        seed: of the experiment.
-        trial: number of the trial.
-        count: how many; the first ones are the same for any count.
-    """
-    return [
-        np.random.default_rng(child) for child in np.random.SeedSequence([seed, trial]).spawn(count)
-    ]
-
-
-def record_lengths(parameters: ArmParameters, drive: Drive, amplitude: float) -> Float:
-    """Spring lengths of an arm that starts at rest and follows the drive.
-
-    Args:
-        parameters: the body.
-        drive: the trial's input.
-        amplitude: R [degrees].
-
-    Returns:
-        (T_ini + 16,000, springs) [m]; row t is the lengths after the step to θ(t) = φ(t).
-
-    Raises:
-        DomainError: the arm left its domain.
-        ValueError: a body that cannot rest, or of another timestep than the paper's.
-    """
-    (lengths,) = record_many([Arm(parameters)], [drive], [amplitude])
-    if isinstance(lengths, DomainError):
-        raise lengths
-    return lengths
-
-
 def record_many(
     arms: Sequence[Arm], drives: Sequence[Drive], amplitudes: Sequence[float]
 ) -> list[Recording]:
@@ -174,8 +142,8 @@ def record_many(
         amplitudes: R of each [degrees].
 
     Returns:
-        For each arm what `record_lengths` gives or raises, to the bit: (T_ini + 16,000, springs)
-        [m], or the error that says where the arm left its domain, whose ``lengths`` may be None.
+        For each arm, to the bit as alone, its spring lengths after the step to each θ(t) = φ(t),
+        (T_ini + 16,000, springs) [m], or the error that says where it left its domain.
 
     Raises:
         ValueError: a body with another timestep than the paper's.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from octoarm_agents.common.plotting import BLACK, BLUE, GREY, ORANGE, VERMILLION
-from octoarm_agents.experiments.task2_trials import BURST_BEGIN, BURST_END
+from octoarm_agents.common.plotting import BLACK, BLUE, ORANGE, VERMILLION
+from octoarm_agents.experiments.cycles.trials import BURST_BEGIN, BURST_END
 
-__all__ = ["draw_outputs", "draw_portrait", "explain_outputs", "say_missing"]
+__all__ = ["draw_outputs", "draw_portrait", "explain_outputs"]
 
 _OUTPUTS = ((BLUE, "output 1, θ"), (VERMILLION, "output 2, φ"))
 _TARGET: dict[str, Any] = {"color": BLACK, "linewidth": 4.0, "alpha": 0.18}
@@ -51,6 +50,7 @@ def draw_outputs(
         axes.plot(time, said, color=colour, linewidth=1.1)
     axes.margins(x=0.0)
     axes.ticklabel_format(axis="x", useOffset=False)
+    axes.set_xlabel("time in closed loop (s)", fontsize=9)
 
 
 def draw_portrait(
@@ -90,20 +90,4 @@ def explain_outputs(
         handles.append(Line2D([], [], label="noise on both outputs", **shade))
     figure.legend(
         handles=handles, fontsize=9, frameon=False, ncols=len(handles), loc="outside lower center"
-    )
-
-
-def say_missing(axes: Axes, failure: Mapping[str, Any] | None) -> None:
-    """Instead of a curve: why there is none."""
-    message = "not reached" if failure is None else textwrap.fill(failure["message"], 28)
-    axes.set_axis_off()
-    axes.text(
-        0.5,
-        0.5,
-        message,
-        transform=axes.transAxes,
-        ha="center",
-        va="center",
-        color=GREY,
-        fontsize=8,
     )

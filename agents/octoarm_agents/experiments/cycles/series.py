@@ -8,35 +8,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.experiments.runner import round_numbers
 from octoarm_agents.reservoir.orbit import turn_time
 
-__all__ = ["SHOWN_EVERY", "align_orbit", "excerpt", "phase_shift"]
+__all__ = ["align_orbit", "excerpt", "phase_shift"]
 
 Float = NDArray[np.float64]
 
-SHOWN_EVERY = 5
-"""Every how many steps are shown."""
-
 
 def excerpt(
-    begin: int,
-    outputs: Float,
-    target: Float,
-    lengths: Float | None = None,
-    *,
-    every: int = SHOWN_EVERY,
+    begin: int, outputs: Float, target: Float, lengths: Float | None = None, *, every: int = 5
 ) -> dict[str, Any]:
     """Every few steps of a run, to seven digits: they are for looking at."""
     series: dict[str, Any] = {
         "step": list(range(begin, begin + len(outputs), every)),
-        "outputs_deg": _plain(outputs[::every].T),
-        "target_deg": _plain(target[::every].T),
+        "outputs_deg": round_numbers(outputs[::every].T),
+        "target_deg": round_numbers(target[::every].T),
     }
     if lengths is not None:
         # Spring 1 of five compartments from the base to the tip.
         columns = 4 * np.linspace(0, lengths.shape[1] // 4 - 1, 5).round().astype(int)
         series["compartments"] = (1 + columns // 4).tolist()
-        series["lengths_metres"] = _plain(lengths[::every, columns].T)
+        series["lengths_metres"] = round_numbers(lengths[::every, columns].T)
     return series
 
 
@@ -84,7 +77,3 @@ def _upward_crossing(signal: Float) -> float | None:
         return None
     up = int(ups[0])
     return up - float(signal[up] / (signal[up + 1] - signal[up]))
-
-
-def _plain(values: Float) -> list[list[float]]:
-    return [[float(f"{value:.7g}") for value in row] for row in values]

@@ -1,0 +1,230 @@
+"""The trials of Task 1: each gives the errors of one run of the arm, as plain numbers.
+
+All take ``kind``, ``seed`` and ``trial`` as `Drive.make` does, ``amplitude``, R [degrees], and
+``recording``, what `record_trials` gives for the trial; None: it is recorded by the trial itself.
+All give ``trial``, ``initial_steps``, T_ini, and ``failure``: None, or the message and the numbers
+of an arm that left its domain, of which there are no errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octoarm_agents.common.lanes import Recording
+from octoarm_agents.common.trials import Settings, Trial
+from octoarm_agents.experiments.emulation.protocol import (
+    Drive,
+    check_timestep,
+    fit_readout,
+    mean_squared_errors,
+    record_many,
+    score_features,
+)
+from octoarm_agents.experiments.runner import RunSettings
+from octoarm_agents.reservoir.baselines import BASELINES
+from octoarm_agents.reservoir.closed_loop import describe_domain_error
+from octoarm_agents.reservoir.readout import Readout
+from octoarm_env import Arm, ArmParameters, DomainError
+
+__all__ = [
+    "SPRINGS_PER_COMPARTMENT",
+    "compare_methods",
+    "leave_out_compartments",
+    "list_failures",
+    "make_trials",
+    "note_failures",
+    "record_trials",
+    "score_arm",
+]
+
+Float = NDArray[np.float64]
+
+SPRINGS_PER_COMPARTMENT = 4
+
+
+def make_trials(
+    settings: RunSettings, name: str, function: Trial, points: Sequence[Settings]
+) -> list[list[dict[str, Any]]]:
+    """Make an experiment's trials at each of some points; see `RunSettings.repeat`.
+
+    Raises:
+        RefusedError: a body of another timestep than the paper's.
+    """
+    check_timestep(settings.parameters)
+    return settings.repeat(name, function, [[point] for point in points], record_trials)
+
+
+def list_failures(trials: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What went wrong in which trial."""
+    return [
+        {"trial": each["trial"]} | each["failure"] for each in trials if each["failure"] is not None
+    ]
+
+
+def note_failures(result: Mapping[str, Any]) -> list[str]:
+    """The same as lines below a table."""
+    return [f"Trial {each['trial']} failed: {each['message']}." for each in result["failures"]]
+
+
+def record_trials(
+    parameters: ArmParameters, settings: Sequence[Mapping[str, Any]]
+) -> list[Recording]:
+    """Record the arms of several trials in less time than one by one; see `run_trials`."""
+    drives = [Drive.make(each["kind"], each["seed"], each["trial"]) for each in settings]
+    amplitudes = [each["amplitude"] for each in settings]
+    return record_many([Arm(parameters)] * len(drives), drives, amplitudes)
+
+
+def score_arm(
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    sensor_noise: Sequence[float] = (),
+    recording: Recording | None = None,
+) -> dict[str, Any]:
+    """Errors of the arm's readout, and of readouts that see the same run through noise.
+
+    ``sensor_noise`` are half widths [m], not negative, of the uniform noise that is added to the
+    lengths, for training and test; it is drawn from (seed, trial), the same at every R.
+
+    Returns:
+        Besides what is said above ``arm`` ({phase: {task: error}}), ``state_rank`` and
+        ``sensor_noise`` (one {phase: {task: error}} a level).
+
+    Raises:
+        ValueError: a half width that is negative or not finite.
+    """
+    if not all(0 <= level < math.inf for level in sensor_noise):
+        raise ValueError(
+            f"sensor_noise = {list(sensor_noise)}: expected finite half widths >= 0, in metres"
+        )
+    drive = Drive.make(kind, seed, trial)
+    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
+    if lengths is None:
+        return result
+    (stream,) = np.random.default_rng([seed, trial]).spawn(1)
+    noises = (stream.uniform(-level, level, lengths.shape) for level in sensor_noise)
+    return result | _score(lengths, drive, noises)
+
+
+def compare_methods(
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    sensor_noise: Sequence[float],
+    recording: Recording | None = None,
+) -> dict[str, Any]:
+    """Errors of the arm, of the baselines on the same rows, and of the arm seen through noise.
+
+    ``sensor_noise`` are standard deviations [m] of the normal noise that is added to the lengths,
+    for training and test.
+
+    Returns:
+        As `score_arm`, and always ``baselines`` ({name: {phase: {task: error}}}).
+    """
+    drive = Drive.make(kind, seed, trial)
+    network_stream, noise_stream = np.random.default_rng([seed, trial]).spawn(2)
+    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
+    result["baselines"] = {
+        name: score_features(features(drive.signal, network_stream), drive)[0]
+        for name, features in BASELINES.items()
+    }
+    if lengths is None:
+        return result
+    noises = (noise_stream.normal(0.0, level, lengths.shape) for level in sensor_noise)
+    return result | _score(lengths, drive, noises)
+
+
+def leave_out_compartments(
+    parameters: ArmParameters,
+    *,
+    kind: str,
+    amplitude: float,
+    seed: int,
+    trial: int,
+    recording: Recording | None = None,
+) -> dict[str, Any]:
+    """Errors with one compartment's four springs left out, at the test alone or from the start.
+
+    Returns:
+        Besides what is said above test errors: ``full`` ({task: error}) with all springs,
+        ``zeroed`` (one {task: error} a compartment) with its trained weights set to zero,
+        ``retrained`` (likewise) with a readout trained without it.
+    """
+    drive = Drive.make(kind, seed, trial)
+    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
+    if lengths is None:
+        return result
+    readout = fit_readout(lengths, drive)
+    test, targets = lengths[drive.test], drive.targets[drive.test]
+    outputs = readout.predict(test)
+    zeroed, retrained = [], []
+    for springs, reduced in _reduced_weights(lengths, drive):
+        # What the compartment's springs add to the outputs, taken away again.
+        without = outputs - test[:, springs] @ readout.weights_[springs]
+        zeroed.append(mean_squared_errors(without, targets))
+        kept = np.delete(test, springs, axis=1)
+        retrained.append(mean_squared_errors(kept @ reduced, targets))
+    return result | {
+        "full": mean_squared_errors(outputs, targets),
+        "zeroed": zeroed,
+        "retrained": retrained,
+    }
+
+
+def _follow(
+    parameters: ArmParameters,
+    drive: Drive,
+    amplitude: float,
+    trial: int,
+    recording: Recording | None,
+) -> tuple[dict[str, Any], Float | None]:
+    """What the result of every trial begins with, and the lengths; None after a failure."""
+    if recording is None:
+        (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
+    result = {"trial": trial, "initial_steps": drive.initial, "failure": None}
+    if isinstance(recording, DomainError):
+        return result | {"failure": describe_domain_error(recording)}, None
+    return result, recording
+
+
+def _score(lengths: Float, drive: Drive, noises: Iterable[Float]) -> dict[str, Any]:
+    """Errors of the readouts of a run and of the same run with each noise."""
+    scores, readout = score_features(lengths, drive)
+    noisy = [score_features(lengths + noise, drive)[0] for noise in noises]
+    return {"arm": scores, "state_rank": readout.rank_, "sensor_noise": noisy}
+
+
+def _reduced_weights(lengths: Float, drive: Drive) -> list[tuple[slice, Float]]:
+    """Weights of the readout trained without each compartment.
+
+    The training rows are reduced once to their triangular factor, which has the same least-squares
+    solution, singular values and pseudo-inverse for any choice of columns.
+
+    Returns:
+        For each compartment its columns, and the weights (springs - 4, 3) of all others.
+    """
+    count = lengths.shape[1]
+    training = np.hstack((lengths[drive.training], drive.targets[drive.training]))
+    # (NumPy's stubs know only the mode that returns a pair.)
+    triangle = cast("Float", np.linalg.qr(training, mode="r"))
+    # The default for the training rows; that for the factor's few would be smaller.
+    tolerance = max(len(training), count) * float(np.finfo(np.float64).eps)
+    reduced = []
+    for begin in range(0, count, SPRINGS_PER_COMPARTMENT):
+        springs = slice(begin, begin + SPRINGS_PER_COMPARTMENT)
+        factor = np.delete(triangle[:, :count], springs, axis=1)
+        fitted = Readout("pinv", tolerance=tolerance).fit(factor, triangle[:, count:])
+        reduced.append((springs, fitted.weights_))
+    return reduced
