@@ -55,7 +55,7 @@ def test_the_same_seed_gives_the_same_bits(readout: ReadoutPolicy) -> None:
 
 def test_a_push_is_what_it_says() -> None:
     parameters, settings = inspect_env(gym.make("OctoArm-v0", amplitude=10.0))
-    envs = make_vector_env(200, parameters, settings, steps=100, threads=1)
+    envs = make_vector_env(120, parameters, settings, steps=100, threads=1)
     pushed = roll_out(HoldPolicy(), envs, seed=0, steps=100, push=Push(4.0, 60, 39))
     # The servo has come to rest, and follows the push within 0.39 s.
     np.testing.assert_allclose(pushed.angles[59], 0, atol=0.01)
@@ -63,7 +63,7 @@ def test_a_push_is_what_it_says() -> None:
     np.testing.assert_allclose(sizes, 4.0, rtol=1e-3)
     directions = np.arctan2(*pushed.angles[98].T[::-1])
     # All directions are pushed in.
-    assert np.histogram(directions, 8, (-np.pi, np.pi))[0].min() > 10
+    assert np.histogram(directions, 8, (-np.pi, np.pi))[0].min() > 5
 
 
 def test_noise_reaches_the_agent_alone(readout: ReadoutPolicy) -> None:
@@ -94,7 +94,7 @@ def test_a_failed_arm_counts_until_it_fails() -> None:
     parameters, settings = inspect_env(
         gym.make("OctoArm-v0", arm="inertial", actuator="servo", amplitude=20.0, action_range=180.0)
     )
-    envs = make_vector_env(8, parameters, settings, steps=300, threads=1)
+    envs = make_vector_env(4, parameters, settings, steps=300, threads=1)
 
     class Flail(HoldPolicy):
         def predict(self, observation, state=None, *args, **kwargs):
@@ -174,10 +174,10 @@ def test_recovery_is_timed() -> None:
 
 
 def test_the_trivial_agents(readout: ReadoutPolicy) -> None:
-    still = evaluate_policy("hold", readout, episodes=4, threads=1)
-    clock = evaluate_policy("clock", readout, episodes=4, threads=1)
-    assert still["return"] < 10
-    assert clock["return"] > 499.9
+    still = evaluate_policy("hold", readout, episodes=2, steps=250, threads=1)
+    clock = evaluate_policy("clock", readout, episodes=2, steps=250, threads=1)
+    assert still["return"] < 5
+    assert clock["return"] > 249.9
     assert clock["tracking_error"] < 1e-3
     assert clock["held"] == 1
     with pytest.raises(ValueError, match="policy = 'dance'"):
@@ -185,14 +185,19 @@ def test_the_trivial_agents(readout: ReadoutPolicy) -> None:
 
 
 def test_evaluation_does_not_depend_on_threads(readout: ReadoutPolicy) -> None:
-    runs = [evaluate_policy(readout, readout, episodes=20, threads=n, seed=5) for n in (1, 2)]
-    assert runs[0] == runs[1]
+    one, two = (
+        evaluate_policy(readout, readout, episodes=20, steps=100, threads=n, seed=5) for n in (1, 2)
+    )
+    assert one == two
 
 
 def test_other_bodies_can_be_evaluated(readout: ReadoutPolicy) -> None:
     body = ArmParameters(arm_density=1100.0)
-    other = evaluate_policy(readout, readout, episodes=4, body=body, threads=1)
-    assert other["return"] < evaluate_policy(readout, readout, episodes=4, threads=1)["return"]
+    own, other = (
+        evaluate_policy(readout, readout, episodes=2, steps=100, body=each, threads=1)
+        for each in (None, body)
+    )
+    assert other["return"] < own["return"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
-"""`octoarm watch`: the terminal, and that what is shown is what an evaluation would measure."""
+"""`octoarm watch` in the terminal, and that what is shown is what an evaluation would measure."""
 
+import io
 import itertools
 import os
 import re
@@ -8,25 +9,21 @@ import subprocess
 import sys
 import threading
 
-import gymnasium as gym
 import numpy as np
 import pytest
-import typer
-from octoarm_agents.cli.pictures import make_renderer
-from octoarm_agents.cli.watch import watch
-from octoarm_agents.cli.watch_terminal import UPPER_HALF, _Pace, _Show, half_blocks
+from episodes import interrupt_at, make_episode, play, write_headstand
+from octoarm_agents.cli import app
+from octoarm_agents.cli.policy_names import find_policy
 from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy, save_network
-from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise, Push
 from octoarm_agents.reservoir import train_policy
+from octoarm_agents.viewing.terminal import UPPER_HALF, _Pace, _Picture, _show_live, half_blocks
 from rich.console import Console
 from typer.testing import CliRunner
 
 from octoarm_env import ArmParameters
-
-APP = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-APP.command()(watch)
+from octoarm_env.rendering import Camera
 
 SIZES = [
     (160, 50),
@@ -85,39 +82,16 @@ def agents(tmp_path_factory):
 
 
 @pytest.fixture
-def run(agents):
+def run(octoarm, agents):
     """Run the command on the readout: `run("--steps", 50)`."""
-
-    def run(*options, policy=agents["readout"], columns=100, lines=31):
-        arguments = [str(each) for each in (policy, *options)]
-        environment = {"COLUMNS": str(columns), "LINES": str(lines)}
-        return CliRunner().invoke(APP, arguments, env=environment)
-
-    return run
+    return lambda *options: octoarm("watch", agents["readout"], *options)
 
 
-def make_episode(file, **settings):
-    policy = load_policy(file)
-    steps = settings.setdefault("steps", 200)
-    env = gym.make("OctoArm-v0", max_episode_steps=steps, arm=policy.parameters, **policy.settings)
-    return Episode(policy, env, **{"seed": 0} | settings)
-
-
-def play(episode):
-    while not episode.ended:
-        episode.step()
-    return episode
-
-
-def renderer_of(episode, size):
-    return make_renderer(episode, "title", size, "perspective", 1.0, 1.0, overlay=False)
-
-
-def shown(frame, width, height):
+def shown(episode, width, height):
     """The lines of a frame as a console of this size prints it."""
     console = Console(width=width, height=height, color_system="truecolor", force_terminal=True)
     with console.capture() as capture:
-        console.print(frame)
+        console.print(_Picture(episode, Camera()).frame(width, height, "1×"))
     return capture.get().splitlines()
 
 
@@ -135,225 +109,116 @@ class TestPicture:
         assert colours[5] == ((0, 0, 0), (0, 0, 80))
         assert colours[0] == colours[2] == colours[3] == ((0, 0, 0), (0, 0, 0))
 
-    @pytest.mark.parametrize(("width", "height"), SIZES)
-    def test_it_never_exceeds_its_room(self, agents, width, height):
-        show = _Show(make_episode(agents["readout"], push=15.0), renderer_of)
+    def test_it_never_exceeds_its_room(self, agents):
+        episode = make_episode(agents["readout"], steps=200, push=15.0)
         for _ in range(119):
-            show.step()
-        plain = [re.sub(r"\x1b\[[\d;]*m", "", line) for line in show_lines(show, width, height)]
-        assert 1 <= len(plain) <= height
-        assert max(len(line) for line in plain) <= width
-        drawn = width >= 16 and height >= 9
-        assert (len(plain) == min(height, 50)) == (drawn or height == 1)
-        assert any(UPPER_HALF in line for line in plain) == drawn
-        assert "PUSHED" in plain[-1] or width < 80
+            episode.step()
+        for width, height in SIZES:
+            lines = shown(episode, width, height)
+            plain = [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines]
+            assert 1 <= len(plain) <= height
+            assert max(len(line) for line in plain) <= width
+            drawn = width >= 16 and height >= 9
+            assert (len(plain) == min(height, 50)) == (drawn or height == 1)
+            assert any(UPPER_HALF in line for line in plain) == drawn
+            assert "PUSHED" in plain[-1] or width < 80
 
     def test_the_arm_is_in_it_and_moves(self, agents):
-        show = _Show(make_episode(agents["readout"]), renderer_of)
-        first = show_lines(show, 80, 24)
+        episode = make_episode(agents["readout"])
+        first = shown(episode, 80, 24)
         assert len(set(first[:-1])) > 5
-        for _ in range(30):
-            show.step()
-        assert show_lines(show, 80, 24)[:-1] != first[:-1]
-
-
-def show_lines(show, width, height):
-    return shown(show.frame(width, height, "1×"), width, height)
+        play(episode)
+        assert shown(episode, 80, 24)[:-1] != first[:-1]
 
 
 class TestEpisode:
-    @pytest.mark.parametrize("agent", ["readout", "recurrent"])
-    @pytest.mark.parametrize(
-        "disturbed", [{}, {"push": 12.0}, {"noise": 2e-5}, {"push": 8.0, "noise": 1e-5}]
-    )
+    @pytest.mark.parametrize("agent", ["readout", "recurrent", "hold/lissajous", "clock/lissajous"])
+    @pytest.mark.parametrize("disturbed", [{}, {"push": 12.0}, {"push": 8.0, "noise": 1e-5}])
     def test_it_is_the_evaluation(self, agents, agent, disturbed):
-        file = agents[agent]
-        episode = play(make_episode(file, seed=7, steps=300, **disturbed))
+        named = find_policy(str(agents.get(agent, agent)), None)
+        episode = play(make_episode(named.name, seed=7, steps=140, **disturbed))
         kinds = {"push": Push, "noise": Noise}
-        policy = load_policy(file)
+        disturbances = {name: kinds[name](size) for name, size in disturbed.items()}
         expected = evaluate_policy(
-            policy,
-            policy,
-            episodes=1,
-            steps=300,
-            seed=7,
-            **{name: kinds[name](size) for name, size in disturbed.items()},
+            named.policy, named, episodes=1, steps=140, seed=7, **disturbances
         )
         expected.pop("returns")
         assert episode.figures() == expected
-        assert episode.earned == pytest.approx(expected["return"])
-        assert episode.time == pytest.approx(3.0)
+        assert episode.history.total == pytest.approx(expected["return"])
+        assert episode.history.time == pytest.approx(1.4)
+        words = [f"seed 7: return {expected['return']:.1f} of 140"]
+        words.append(f"error {expected['tracking_error']:.3f}°")
+        for name, key in (("orbit distance", "orbit_distance"), ("period", "period")):
+            words.append(f"{name} {'-' if expected[key] is None else f'{expected[key]:.4f}'}")
+        assert episode.report() == ", ".join(words)
 
     def test_memory_is_carried_and_emptied(self, agents):
         """The state given back is handed in again; the episode starts once."""
-        episode = make_episode(agents["recurrent"], steps=20)
-        inner, seen = episode._policy, []
+        inner, seen = load_policy(agents["recurrent"]), []
 
         class Spy:
-            settings = inner.settings
-
             def predict(self, observation, state=None, episode_start=None):
                 action, next_state = inner.predict(observation, state, episode_start)
                 seen.append((state, next_state, episode_start.tolist()))
                 return action, next_state
 
-        episode._policy = Spy()
-        play(episode)
+        play(make_episode(agents["recurrent"], steps=20, policy=Spy()))
         assert seen[0][0] is None
         assert all(now[0] is before[1] for before, now in itertools.pairwise(seen))
         assert [starts for *_, starts in seen] == [[True]] + [[False]] * 19
 
-    def test_a_push_lowers_the_return(self, agents):
-        calm, pushed = (
-            play(make_episode(agents["readout"], push=size)).figures()["return"]
-            for size in (0.0, 15.0)
-        )
-        assert pushed < calm - 5
+    def test_push_and_noise_lower_the_return(self, agents):
+        returns = [
+            play(make_episode(agents["readout"], steps=200, **disturbed)).history.total
+            for disturbed in ({}, {"push": 15.0}, {"noise": 1e-4})
+        ]
+        assert returns[0] > max(returns[1:]) + 5
 
-    def test_the_push_is_shown_while_it_lasts(self, agents):
-        episode, shown = make_episode(agents["readout"], push=5.0), []
+    @pytest.mark.parametrize("period", [0.01, 0.02])
+    def test_the_push_is_timed_in_seconds_and_shown_while_it_lasts(self, period, tmp_path):
+        train_policy({"control_period": period}, steps=200).save(tmp_path / "a.json")
+        episode = make_episode(tmp_path / "a.json", steps=round(1.4 / period), push=5.0)
+        told = []
         while not episode.ended:
-            if episode.disturbances:
-                shown.append(episode.steps_made)
+            assert episode.disturbances in ((), ("pushed",))
+            told += [episode.steps_made * period] * bool(episode.disturbances)
             episode.step()
-        assert shown == list(range(100, 120))
+        assert told == pytest.approx(np.arange(1.0, 1.2 - 1e-9, period))
 
-    def test_the_push_is_timed_in_seconds(self):
-        policy = train_policy({"control_period": 0.02}, steps=300)
-        env = gym.make("OctoArm-v0", max_episode_steps=80, **policy.settings)
-        episode, shown = Episode(policy, env, seed=0, steps=80, push=5.0), []
-        while not episode.ended:
-            if episode.disturbances:
-                shown.append(episode.steps_made)
-            episode.step()
-        assert shown == list(range(50, 60))
-
-    def test_an_arm_that_leaves_its_domain_ends_the_episode(self, agents):
-        episode = make_episode(agents["readout"])
-        inner = episode._env
-
-        class Breaking:
-            unwrapped = inner.unwrapped
-
-            def step(self, action):
-                observation, reward, _, truncated, info = inner.step(action)
-                broken = episode.steps_made == 29
-                more = {"failure": "height of compartment 1 is 0"} if broken else {}
-                return observation, reward, broken, truncated, info | more
-
-        episode._env = Breaking()
-        play(episode)
-        assert episode.steps_made == 30
+    def test_an_arm_that_leaves_its_domain_ends_the_episode(self, tmp_path):
+        arm = write_headstand(tmp_path)
+        episode = play(make_episode("clock/quadratic", steps=300, arm=arm))
+        assert episode.steps_made < 300
         assert episode.figures()["survival"] == 0
-        assert "left its domain after 0.30 s: height of compartment 1" in episode.report()
-        assert "LEFT ITS DOMAIN" in show_lines(_Show(episode, renderer_of), 100, 24)[-1]
+        seconds = f"{episode.steps_made / 100:.2f} s"
+        assert f"left its domain after {seconds}: " in episode.report()
+        assert "LEFT ITS DOMAIN" in shown(episode, 100, 24)[-1]
 
 
 class TestCommand:
-    def test_a_pipe_gets_the_figures(self, run, agents):
-        result = run("--episodes", 2, "--seed", 3, "--steps", 120)
+    def test_a_pipe_gets_the_figures(self, run, agents, monkeypatch):
+        """Also where colours are forced."""
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        result = run("--episodes", 2, "--seed", 3, "--steps", 60, "--noise", 1e-5)
         assert result.exit_code == 0, result.output
         assert "\x1b" not in result.stdout
-        assert len(result.stdout.splitlines()) == 2
-        policy = load_policy(agents["readout"])
-        for seed in (3, 4):
-            figures = evaluate_policy(policy, policy, episodes=1, steps=120, seed=seed)
-            assert (
-                f"seed {seed}: return {figures['return']:.1f} of 120, "
-                f"error {figures['tracking_error']:.3f}°, "
-                f"orbit distance {figures['orbit_distance']:.4f}, period "
-            ) in result.stdout
-
-    def test_a_pipe_stays_a_pipe_where_colours_are_forced(self, run, monkeypatch):
-        monkeypatch.setenv("FORCE_COLOR", "1")
-        result = run("--steps", 20)
-        assert result.exit_code == 0, result.output
-        assert "\x1b[?1049h" not in result.stdout
-
-    def test_an_agent_with_memory(self, run, agents):
-        result = run("--steps", 50, policy=agents["recurrent"])
-        assert result.exit_code == 0, result.output
-        assert "return " in result.stdout
-
-    def test_push_and_noise_lower_the_return(self, run):
-        earned = [
-            float(run(*options).stdout.rsplit("return ", 1)[1].split()[0])
-            for options in ((), ("--push", 20), ("--noise", 1e-4))
+        assert result.stdout.splitlines() == [
+            play(make_episode(agents["readout"], steps=60, seed=seed, noise=1e-5)).report()
+            for seed in (3, 4)
         ]
-        assert earned[0] > max(earned[1:]) + 5
 
-    def test_another_body(self, run, tmp_path):
+    def test_another_body(self, run, agents, tmp_path):
         body = tmp_path / "body.json"
         ArmParameters(arm_density=1060.0).to_json(body)
-        own, other = run(), run("--arm", body)
-        assert other.exit_code == 0, other.output
-        assert other.stdout != own.stdout
+        result = run("--arm", body, "--steps", 60)
+        assert result.exit_code == 0, result.output
+        episode = play(make_episode(agents["readout"], steps=60, arm=body))
+        assert result.stdout == f"{episode.report()}\n"
 
-    @pytest.mark.parametrize(
-        ("option", "value", "allowed"),
-        [
-            ("--speed", "0", "above 0 and at most 100"),
-            ("--speed", "-1", "above 0 and at most 100"),
-            ("--speed", "101", "above 0 and at most 100"),
-            ("--speed", "nan", "above 0 and at most 100"),
-            ("--steps", "9", "between 10 and 1,000,000"),
-            ("--episodes", "0", "between 1 and 4,096"),
-            ("--seed", "-1", "between 0 and 2,147,483,647"),
-            ("--push", "-3", "between 0 and 360 degrees"),
-            ("--noise", "0.5", "between 0 and 0.01 metres"),
-            ("--arm", "no-such-file.json", "cannot read no-such-file.json"),
-        ],
-    )
-    def test_a_bad_option_is_named(self, run, option, value, allowed):
-        result = run(option, value, columns=300)
-        assert result.exit_code == 2
-        assert option in result.stderr
-        assert value in result.stderr
-        assert allowed in result.stderr
-        assert "Traceback" not in result.output
-
-    @pytest.mark.parametrize(
-        ("name", "reason"),
-        [
-            ("no-such-agent.json", "cannot read no-such-agent.json"),
-            ("nobody/quadratic", "neither a file nor one of"),
-            ("agent.txt", "neither a file nor one of"),
-        ],
-    )
-    def test_a_missing_agent_is_named(self, run, name, reason):
-        result = run(policy=name, columns=300)
-        assert result.exit_code == 2
-        assert name.split("/")[0] in result.stderr
-        assert reason in result.stderr
-
-    def test_a_body_that_does_not_fit_is_refused(self, run, tmp_path):
-        body = tmp_path / "body.json"
-        ArmParameters(compartments=10).to_json(body)
-        result = run("--arm", body, columns=300)
-        assert result.exit_code == 2
-        assert "10 compartments" in result.stderr
-        assert "20." in result.stderr
-
-    def test_a_body_that_cannot_swing_so_is_refused(self, run, tmp_path):
-        body = tmp_path / "body.json"
-        ArmParameters(arm_density=20_000.0).to_json(body)
-        result = run("--arm", body, columns=300)
-        assert result.exit_code == 2
-        assert "--arm" in result.stderr
-        assert "Traceback" not in result.output
-
-    def test_an_encoding_without_half_blocks_is_named(self, agents):
-        code = "import sys, typer\nfrom octoarm_agents.cli.watch import watch\ntyper.run(watch)"
-        result = subprocess.run(
-            [sys.executable, "-c", code, agents["readout"], "--steps", "10"],
-            capture_output=True,
-            text=True,
-            check=False,
-            env=os.environ | {"PYTHONIOENCODING": "ascii"},
-        )
-        assert result.returncode == 1
+    def test_an_encoding_without_half_blocks_is_named(self):
+        result = CliRunner(charset="ascii").invoke(app, ["watch", "hold/quadratic"])
+        assert result.exit_code == 1
         assert "PYTHONIOENCODING=utf-8" in result.stderr
-        assert "Traceback" not in result.stderr
 
 
 class TestPace:
@@ -371,7 +236,7 @@ class TestPace:
                 self.now += seconds
 
         clock = Clock()
-        monkeypatch.setattr("octoarm_agents.cli.watch_terminal.time", clock)
+        monkeypatch.setattr("octoarm_agents.viewing.terminal.time", clock)
         return clock
 
     def test_steps_take_their_time(self, clock):
@@ -399,63 +264,59 @@ class TestPace:
         assert clock.now - begin == pytest.approx(1.0)
 
 
-def watch_in_a_terminal(arguments, *, interrupt_at=None):
-    """Run the command with a pseudo-terminal as its output; exit code and what it wrote."""
-    pty = pytest.importorskip("pty")
-    ours, theirs = pty.openpty()
-    code = (
-        "import typer\nfrom octoarm_agents.cli.watch import watch\n"
-        "app = typer.Typer()\napp.command()(watch)\napp()"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *(str(each) for each in arguments)],
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
-    )
-    os.close(theirs)
-    # A program that hangs must not hang the tests.
-    timer = threading.Timer(60.0, process.kill)
-    timer.start()
-    written, interrupted = b"", False
-    try:
-        while True:
-            try:
-                part = os.read(ours, 65536)
-            except OSError:  # how Linux says that nobody writes any more
-                part = b""
-            if not part:
-                break
-            written += part
-            if interrupt_at is not None and not interrupted and interrupt_at in written:
-                process.send_signal(signal.SIGINT)
-                interrupted = True
-        # An interrupt may cut a character in two.
-        return process.wait(), written.decode(errors="replace")
-    finally:
-        timer.cancel()
-        os.close(ours)
-
-
 class TestTerminal:
-    def test_it_is_drawn_live(self, agents):
-        status, written = watch_in_a_terminal([agents["readout"], "--steps", 100, "--speed", 2])
-        assert status == 0, written
-        shown, after = written.split("\x1b[?1049l")
+    @pytest.mark.parametrize("interrupted", [False, True])
+    def test_it_is_drawn_live(self, agents, interrupted, monkeypatch, capsys):
+        if interrupted:
+            interrupt_at(monkeypatch, 25)
+        written = io.StringIO()
+        console = Console(
+            file=written, width=80, height=24, force_terminal=True, color_system="truecolor"
+        )
+        _show_live(console, iter([make_episode(agents["readout"])]), Camera(), 100.0)
+        shown, after = written.getvalue().split("\x1b[?1049l")
         assert "\x1b[?1049h" in shown
         # However busy the machine is, the last moment is drawn.
-        assert shown.count(UPPER_HALF) >= 80 * 23
-        assert "seed 0: return" in after
-        assert "1.00 of 1.00 s" in after
-        assert "\x1b[?25h" in written
+        assert shown.count(UPPER_HALF) >= (0 if interrupted else 80 * 23)
+        assert after.count(UPPER_HALF) >= 80 * 20
+        assert ("0.25 of 0.30 s" if interrupted else "0.30 of 0.30 s") in after
+        report = capsys.readouterr().out
+        assert report.startswith("Stopped." if interrupted else "seed 0: return")
+        assert "\x1b[?25h" in written.getvalue()
 
-    def test_ctrl_c_ends_it(self, agents):
-        status, written = watch_in_a_terminal(
-            [agents["readout"], "--steps", 100_000], interrupt_at=UPPER_HALF.encode()
+    def test_ctrl_c_of_a_terminal(self):
+        pty = pytest.importorskip("pty")
+        ours, theirs = pty.openpty()
+        code = "from octoarm_agents.cli import main; main()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, "watch", "hold/quadratic", "--steps", "100000"],
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
         )
+        os.close(theirs)
+        # A program that hangs must not hang the tests.
+        timer = threading.Timer(60.0, process.kill)
+        timer.start()
+        written, interrupted = b"", False
+        try:
+            while True:
+                try:
+                    part = os.read(ours, 65536)
+                except OSError:  # how Linux says that nobody writes any more
+                    part = b""
+                if not part:
+                    break
+                written += part
+                if UPPER_HALF.encode() in written and not interrupted:
+                    process.send_signal(signal.SIGINT)
+                    interrupted = True
+            status = process.wait()
+        finally:
+            timer.cancel()
+            os.close(ours)
         assert status == 0, written
-        assert "\x1b[?1049l" in written
-        assert "\x1b[?25h" in written
-        assert "Stopped." in written
-        assert "Traceback" not in written
+        for part in (b"\x1b[?1049l", b"\x1b[?25h", b"Stopped."):
+            assert part in written
+        assert b"Traceback" not in written

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from octoarm_agents.analysis.lyapunov import largest_lyapunov_exponent
@@ -19,7 +18,6 @@ from octoarm_agents.comparison.linear_search import LinearSearch
 from octoarm_agents.demo import DemoSettings
 from octoarm_agents.experiments.runner import RunSettings
 from octoarm_agents.policies import load_trained
-from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import HoldPolicy, Noise, Push, roll_out
 from octoarm_agents.reservoir import Readout, train_policy
@@ -27,8 +25,9 @@ from octoarm_agents.reservoir.closed_loop import ClosedLoop
 from octoarm_agents.reservoir.inputs import smooth_noise
 from octoarm_agents.reservoir.teaching import Teaching
 from octoarm_agents.rl import Training
+from octoarm_agents.viewing.episode import Episode
 
-from octoarm_env import Arm
+from octoarm_env import Arm, OctoArmVectorEnv
 
 
 def home() -> Any:
@@ -40,7 +39,7 @@ CALLS: dict[str, tuple[str, Any]] = {
     "evaluate_policy episodes": ("episodes", lambda n: evaluate_policy("hold", home(), episodes=n)),
     "roll_out": ("steps", lambda n: roll_out(HoldPolicy(), None, seed=0, steps=n)),  # type: ignore[arg-type]
     "roll_out seed": ("seed", lambda n: roll_out(HoldPolicy(), None, seed=n)),  # type: ignore[arg-type]
-    "Episode": ("steps", lambda n: Episode("hold", gym.make("OctoArm-v0"), seed=0, steps=n)),
+    "Episode": ("steps", lambda n: Episode("hold", OctoArmVectorEnv(1), seed=0, steps=n)),
     "Push": ("steps", lambda n: Push(1.0, steps=n)),
     "Noise": ("begin", lambda n: Noise(1e-5, begin=n)),
     "train_policy": ("steps", lambda n: train_policy(steps=n)),

@@ -16,7 +16,6 @@ from octoarm_agents.cli import (
     compare,
     demo,
     evaluate,
-    inspect,
     record,
     reproduce,
     serve,
@@ -42,7 +41,6 @@ app.command(rich_help_panel=LEARN)(evaluate.evaluate)
 app.command(rich_help_panel=LEARN)(compare.compare)
 app.command(rich_help_panel=SEE)(watch.watch)
 app.command(rich_help_panel=SEE)(record.record)
-app.command(rich_help_panel=SEE)(inspect.inspect)
 app.command(rich_help_panel=BODY)(demo.demo)
 app.command(rich_help_panel=BODY)(reproduce.reproduce)
 app.add_typer(analyse.app, name="analyse", rich_help_panel=BODY)

@@ -4,48 +4,37 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from octoarm_agents.cli.actors import ACTOR_HELP, find_actor
 from octoarm_agents.cli.options import (
     EpisodeSeed,
     EpisodeSteps,
     NoiseSize,
-    OtherArm,
+    OtherBody,
     PushSize,
-    number_between,
-    output_file,
+    number,
+    result_file,
 )
+from octoarm_agents.cli.policy_names import POLICY_HELP, find_policy
 
 __all__ = ["evaluate"]
 
 
 def evaluate(
-    policies: Annotated[
-        list[str],
-        typer.Argument(
-            help=ACTOR_HELP,
-            show_default=False,
-        ),
-    ],
-    episodes: Annotated[
-        int, typer.Option(help="Episodes of each.", callback=number_between(1, 4096))
-    ] = 32,
+    policies: Annotated[list[str], typer.Argument(help=POLICY_HELP, show_default=False)],
+    episodes: Annotated[int, number("Episodes of each.", 1, 4096)] = 32,
     steps: EpisodeSteps = 500,
     seed: EpisodeSeed = 10_000,
     push: PushSize = 0.0,
     noise: NoiseSize = 0.0,
-    arm: OtherArm = None,
+    arm: OtherBody = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            help="JSON file for the figures.", callback=output_file, show_default="no file"
-        ),
+        Path | None, result_file("JSON file for the figures.", show_default="no file")
     ] = None,
 ) -> None:
-    """Let agents act, each in the environment it was trained in.
+    """Let policies act, each in the environment it was trained in.
 
     Prints return, tracking error, distance from the orbit whatever the phase,
     period and survival, and beside them what holding still and the clock that
@@ -54,65 +43,49 @@ def evaluate(
     from rich.console import Console
     from rich.table import Table
 
-    from octoarm_agents.common.environment import inspect_env
     from octoarm_agents.common.files import write_json
     from octoarm_agents.policies.evaluation import TRIVIAL, evaluate_policy
     from octoarm_agents.policies.rollout import Noise, Push
 
-    actors = [find_actor(name, arm) for name in policies]
-    for index, actor in enumerate(actors):
-        if isinstance(actor.policy, str):
-            # It is at home wherever its target is; what the environment makes of the rest counts.
-            env = actor.make_env(steps)
-            actors[index] = replace(actor, settings=inspect_env(env)[1])
-            env.close()
-    # Beside the agents of each home the trivial ones, unless they are among them.
-    for home in list(actors):
+    named = [find_policy(name, arm) for name in policies]
+    # Beside the policies of each home the trivial ones, unless they are among them.
+    for home in list(named):
         for kind in TRIVIAL:
             beside = replace(home, name=kind, policy=kind)
-            if not any(replace(each, name=kind) == beside for each in actors):
-                actors.append(beside)
+            if not any(replace(each, name=kind) == beside for each in named):
+                named.append(beside)
     table = Table()
     table.add_column("agent", overflow="fold")
     for heading in ("target", "return", "error (°)", "orbit distance", "period", "survival"):
         table.add_column(heading, justify="right")
-    results = []
-    for actor in actors:
-        assert actor.policy is not None
+    rows = []
+    for each in named:
         try:
             figures = evaluate_policy(
-                actor.policy,
-                actor,
+                each.policy,
+                each,
                 episodes=episodes,
                 steps=steps,
                 seed=seed,
-                push=Push.after_a_second(push, actor.settings["control_period"]) if push else None,
+                push=Push.after_a_second(push, each.settings["control_period"]) if push else None,
                 noise=Noise(noise) if noise else None,
             )
         except ValueError as error:
-            raise typer.BadParameter(f"{actor.name}: {error}.") from None
-        target = actor.settings["target"]
-        results.append({"agent": actor.name, "target": target, **figures})
+            raise typer.BadParameter(f"{each.name}: {error}.") from None
+        target = each.settings["target"]
+        rows.append({"agent": each.name, "target": target, **figures})
+        distance, period = (figures[key] for key in ("orbit_distance", "period"))
         table.add_row(
-            actor.name,
+            each.name,
             target if isinstance(target, str) else "own",
             f"{figures['return']:.1f}",
             f"{figures['tracking_error']:.3f}",
-            *(_cell(figures[key]) for key in ("orbit_distance", "period")),
+            *("-" if value is None else f"{value:.4f}" for value in (distance, period)),
             f"{figures['survival']:.0%}",
         )
     Console(width=120).print(table)
     if out is not None:
-        settings: dict[str, Any] = {
-            "episodes": episodes,
-            "steps": steps,
-            "seed": seed,
-            "push": push,
-        }
-        settings |= {"noise": noise, "arm": None if arm is None else actor.parameters.to_dict()}
-        write_json(out, {"settings": settings, "rows": results})
+        body = None if arm is None else each.parameters.to_dict()
+        settings = {"episodes": episodes, "steps": steps, "seed": seed, "push": push}
+        write_json(out, {"settings": {**settings, "noise": noise, "arm": body}, "rows": rows})
         typer.echo(f"Wrote {out}.")
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"

@@ -7,61 +7,48 @@ from typing import Annotated
 
 import typer
 
-from octoarm_agents.cli.actors import ACTOR_HELP, find_actor
 from octoarm_agents.cli.options import (
     EpisodeSeed,
     EpisodeSteps,
     NoiseSize,
-    OtherArm,
+    OtherBody,
     PushSize,
     need_extra,
-    number_between,
-    output_file,
+    number,
+    refused,
+    result_file,
 )
 from octoarm_agents.cli.pictures import (
     CameraName,
     Exaggeration,
-    PictureHeight,
-    PictureWidth,
+    PictureSide,
+    Speed,
     Zoom,
-    make_renderer,
+    make_camera,
 )
+from octoarm_agents.cli.policy_names import PolicyName, find_policy
 from octoarm_agents.common.progress import progress_bar
 
 __all__ = ["record"]
 
-_MOST_FRAMES = 1_000_000
+_KINDS = (".mp4", ".gif", ".png", ".rrd")
 
 
 def record(
-    policy: Annotated[str, typer.Argument(help=ACTOR_HELP, show_default=False)],
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="The film, .mp4 or .gif, or a picture of the end, .png.", callback=output_file
-        ),
-    ],
+    policy: PolicyName,
+    out: Annotated[Path, result_file(f"What to write, by its end: {', '.join(_KINDS)}.")],
     steps: EpisodeSteps = 500,
     seed: EpisodeSeed = 0,
     push: PushSize = 0.0,
     noise: NoiseSize = 0.0,
-    arm: OtherArm = None,
+    arm: OtherBody = None,
     fps: Annotated[
         float | None,
-        typer.Option(
-            help="Frames of a second of the film.",
-            callback=number_between(1.0, 240.0),
-            show_default="50, of a .gif 25",
-        ),
+        number("Frames of a second of the film.", 1.0, 240.0, show_default="50, of a .gif 25"),
     ] = None,
-    speed: Annotated[
-        float,
-        typer.Option(
-            help="Seconds of the arm in a second of the film.", callback=number_between(0.01, 100.0)
-        ),
-    ] = 1.0,
-    width: PictureWidth = 640,
-    height: PictureHeight = 480,
+    speed: Speed = 1.0,
+    width: PictureSide = 640,
+    height: PictureSide = 480,
     camera: CameraName = "perspective",
     zoom: Zoom = 1.0,
     exaggeration: Exaggeration = 1.0,
@@ -69,68 +56,65 @@ def record(
         bool, typer.Option(help="Figures, phase portrait of the base and strains as well.")
     ] = True,
 ) -> None:
-    """Film an agent that drives the arm; no display is needed.
+    """Record an episode: a film (.mp4, .gif), its last picture (.png), or all of it (.rrd).
 
-    The same call gives the same frames. A film appears whole or not at all: an interrupted one
-    leaves nothing behind.
+    A .rrd holds arm, springs, base, commands, errors, rewards and events, 10 kB a step, to look
+    at any moment in the Rerun viewer, `rerun FILE.rrd`; what the options say of pictures does
+    not touch it. No display is needed. The same call records the same. A file appears whole or
+    not at all: an interrupted run leaves nothing behind.
     """
-    from octoarm_agents import recording
-    from octoarm_agents.policies.episode import Episode
+    from octoarm_agents.viewing.episode import Episode
+    from octoarm_agents.viewing.film import (
+        FILMS,
+        check_film,
+        default_fps,
+        film_frames,
+        frame_count,
+        picture_end,
+        write_film,
+    )
 
-    actor = find_actor(policy, arm)
-    if out.suffix.lower() not in (*recording.FORMATS, ".png"):
-        known = ", ".join((*recording.FORMATS, ".png"))
-        raise typer.BadParameter(f"{out} does not end in one of {known}.", param_hint="'--out'")
-    rate = recording.default_fps(out) if fps is None else fps
-    if out.suffix.lower() == ".gif" and rate > recording.FASTEST_GIF:
+    named, kind, frames = find_policy(policy, arm), out.suffix.lower(), 0
+    if kind not in _KINDS:
         raise typer.BadParameter(
-            f"{rate:g} is too fast for a .gif, at most {recording.FASTEST_GIF:g}: choose .mp4.",
-            param_hint="'--fps'",
+            f"{out} does not end in one of {', '.join(_KINDS)}.", param_hint="'--out'"
         )
-    env = actor.make_env(steps)
+    rate = default_fps(out) if fps is None else fps
+    env = named.make_env(steps)
     try:
-        assert actor.policy is not None
-        episode = Episode(actor.policy, env, seed=seed, steps=steps, push=push, noise=noise)
-        renderer = make_renderer(
-            episode, policy, (width, height), camera, zoom, exaggeration, overlay=overlay
+        episode = Episode(
+            named.policy, env, seed=seed, steps=steps, push=push, noise=noise, title=policy
         )
-        frames = round(steps * episode.period * rate / speed) + 1
-        if frames > _MOST_FRAMES:
-            raise typer.BadParameter(
-                f"{frames:,} frames are too many, at most {_MOST_FRAMES:,}: choose fewer --steps, "
-                "a lower --fps or a higher --speed.",
-                param_hint="'--out'",
-            )
-        most = recording.longest_gif(renderer.size)
-        if out.suffix.lower() == ".gif" and frames > most:
-            raise typer.BadParameter(
-                f"{frames:,} frames of {width}×{height} are too many for a .gif, at most {most:,}: "
-                "choose .mp4, fewer --steps, a lower --fps or a smaller picture.",
-                param_hint="'--out'",
-            )
-        with progress_bar(steps, "filming", unit=" steps") as bar:
-            if out.suffix.lower() == ".png":
-                recording.picture_end(episode, renderer, out, progress=bar.update)
+        if kind == ".rrd":
+            with need_extra("rerun"):
+                from octoarm_agents.viewing.rerun_streams import log_episode, recording_file
+        else:
+            with need_extra("render"):
+                look = make_camera(camera, zoom, exaggeration)
+                renderer = episode.renderer((width, height), look, overlay=overlay)
+        if kind in FILMS:
+            with refused("--out"):
+                count = frame_count(steps, episode.control_period, rate, speed)
+                check_film(out, renderer.size, rate, count)
+        with progress_bar(steps, "recording", unit=" steps") as bar:
+            if kind == ".rrd":
+                with recording_file(out) as recording:
+                    log_episode(recording, episode, progress=bar.update)
+            elif kind == ".png":
+                picture_end(episode, renderer, out, progress=bar.update)
             else:
-                with (
-                    need_extra("render"),
-                    recording.open_film(out, renderer.size, rate) as film,
-                ):
-                    recording.film_episode(
-                        episode, renderer, film, fps=rate, speed=speed, progress=bar.update
-                    )
+                drawn = film_frames(episode, renderer, fps=rate, speed=speed, progress=bar.update)
+                with need_extra("render"):
+                    frames = write_film(out, drawn, renderer.size, rate)
     except KeyboardInterrupt:
-        typer.echo("Stopped; no film was written.", err=True)
+        typer.echo("Stopped; nothing was written.", err=True)
         raise typer.Exit(130) from None
-    except OSError as error:
+    except OSError as error:  # also where logging is switched off
         typer.echo(f"cannot write {out}: {error}.", err=True)
         raise typer.Exit(1) from None
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
     finally:
         env.close()
     typer.echo(episode.report())
-    if out.suffix.lower() != ".png":
-        seconds = film.frames / rate
-        typer.echo(f"{film.frames} frames, {seconds:.2f} s, {out.stat().st_size / 1e6:.2f} MB")
-    typer.echo(f"Wrote {out}.")
+    if frames:
+        typer.echo(f"{frames} frames, {frames / rate:.2f} s")
+    typer.echo(f"Wrote {out}, {out.stat().st_size / 1e6:.2f} MB.")

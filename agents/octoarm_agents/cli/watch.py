@@ -4,145 +4,142 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from octoarm_agents.cli.actors import ACTOR_HELP, Actor, find_actor
 from octoarm_agents.cli.options import (
     EpisodeSeed,
     NoiseSize,
-    OtherArm,
+    OtherBody,
     PushSize,
     need_extra,
-    number_between,
-    read_body,
+    number,
 )
 from octoarm_agents.cli.pictures import (
     CameraName,
     Exaggeration,
-    PictureHeight,
-    PictureWidth,
+    PictureSide,
+    Speed,
     Zoom,
-    make_renderer,
+    make_camera,
 )
+from octoarm_agents.cli.policy_names import POLICY_HELP, find_policy
+from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from octoarm_agents.policies.episode import Episode
+    from octoarm_agents.viewing.episode import Episode
+    from octoarm_env.rendering import Camera
 
 __all__ = ["watch"]
 
-_FASTEST = 100.0
 _BY_HAND = 60_000
 """Steps of an episode that the mouse leads, ten minutes."""
-
-
-def _check_speed(value: float) -> float:
-    if not 0 < value <= _FASTEST:
-        raise typer.BadParameter(f"{value} is not above 0 and at most {_FASTEST:g}.")
-    return value
-
-
-def _check_view(value: str) -> str:
-    if value not in ("auto", "window", "terminal"):
-        raise typer.BadParameter(f"{value!r} is not one of auto, window, terminal.")
-    return value
 
 
 def watch(
     policy: Annotated[
         str | None,
         typer.Argument(
-            help=f"{ACTOR_HELP} Without one, the mouse leads the base.", show_default=False
+            help=f"{POLICY_HELP} Without one, the mouse leads the base.", show_default=False
         ),
     ] = None,
-    episodes: Annotated[
-        int, typer.Option(help="Number of episodes.", callback=number_between(1, 4096))
-    ] = 1,
+    episodes: Annotated[int, number("Number of episodes.", 1, 4096)] = 1,
     steps: Annotated[
         int | None,
-        typer.Option(
-            help="Control periods of an episode.",
-            callback=number_between(10, 1_000_000),
+        number(
+            "Control periods of an episode.",
+            10,
+            1_000_000,
             show_default=f"500, {_BY_HAND:,} with the mouse",
         ),
     ] = None,
     seed: EpisodeSeed = 0,
-    speed: Annotated[
-        float,
-        typer.Option(
-            help=f"Times real time, above 0 and at most {_FASTEST:g}.", callback=_check_speed
-        ),
-    ] = 1.0,
+    speed: Speed = 1.0,
     push: PushSize = 0.0,
     noise: NoiseSize = 0.0,
-    arm: OtherArm = None,
+    arm: OtherBody = None,
     target: Annotated[
-        str | None,
-        typer.Option(
-            help="What the mouse is to follow, without a policy.", show_default="quadratic"
-        ),
+        Literal["quadratic", "van_der_pol", "lissajous"] | None,
+        typer.Option(help="What the mouse is to follow.", show_default="quadratic"),
     ] = None,
     view: Annotated[
-        str,
-        typer.Option(
-            help="window, terminal, or auto: a window where there is a display.",
-            metavar="NAME",
-            callback=_check_view,
-        ),
+        Literal["auto", "window", "terminal", "rerun", "browser"],
+        typer.Option(help="Where; auto: in a window where there is a display, or the terminal."),
     ] = "auto",
-    width: PictureWidth = 960,
-    height: PictureHeight = 720,
+    width: PictureSide = 960,
+    height: PictureSide = 720,
     camera: CameraName = "perspective",
     zoom: Zoom = 1.0,
     exaggeration: Exaggeration = 1.0,
 ) -> None:
-    """Watch an agent drive the arm, or drive it yourself.
+    """Watch a policy drive the arm, or drive it yourself.
 
-    In a window: the arm in three dimensions, the base and its target, the strain of the 80
-    springs. Drag to look around, wheel to zoom, space to pause, + and - for the speed; h shows
-    all keys. Without POLICY drag with the left button to swing the arm, with the right one to
-    look around.
+    In a window: drag to look around, wheel to zoom, space to pause; h shows all keys. Without
+    POLICY drag with the left button to swing the arm, with the right one to look around. In the
+    terminal: the same picture in half blocks; into a pipe go the figures of each episode alone.
 
-    In the terminal: the same picture in half blocks, and the figures of the episode below.
-
-    Where standard output is no terminal with colours and there is no window, nothing waits: the
-    figures of each episode are printed. Ctrl-C ends the show.
+    rerun and browser show all of one episode, to look at any moment: in the viewer of Rerun, or
+    in a browser on this machine. Ctrl-C ends the show. `octoarm record` writes files instead.
     """
-    if policy is None:
-        if view == "terminal":
-            raise typer.BadParameter(
-                "the mouse needs a window: name a POLICY.", param_hint="'--view'"
+    by_hand = policy is None
+    if by_hand and view not in ("auto", "window"):
+        raise typer.BadParameter("the mouse needs a window: name a POLICY.", param_hint="'--view'")
+    if not by_hand and target is not None:
+        raise typer.BadParameter(
+            "an agent has its own target; this is the mouse's.", param_hint="'--target'"
+        )
+    if view in ("rerun", "browser") and episodes > 1:
+        raise typer.BadParameter(f"--view {view} shows one.", param_hint="'--episodes'")
+    named = find_policy(policy or f"hold/{target or 'quadratic'}", arm)
+    mouse = None
+    if by_hand:
+        with need_extra("render"):
+            from octoarm_agents.viewing.window import MousePolicy
+        mouse = MousePolicy(named.settings["action_range"])
+        named, view = replace(named, name="by hand", policy=mouse), "window"
+    steps = steps or (_BY_HAND if by_hand else 500)
+    env = named.make_env(steps)
+
+    def played() -> Iterator[Episode]:
+        from octoarm_agents.viewing.episode import Episode
+
+        for index in range(episodes):
+            yield Episode(
+                named.policy,
+                env,
+                seed=seed + index,
+                steps=steps,
+                push=push,
+                noise=noise,
+                title=named.name,
             )
-        actor = _by_hand("quadratic" if target is None else target, arm)
-    else:
-        if target is not None:
-            raise typer.BadParameter(
-                "an agent has its own target; this is the mouse's.", param_hint="'--target'"
-            )
-        actor = find_actor(policy, arm)
-    needs_window = view == "window" or policy is None
-    settings = {"push": push, "noise": noise, "steps": steps}
-    if steps is None:
-        settings["steps"] = 500 if policy else _BY_HAND
-    size = (width, height)
+
     try:
-        if needs_window or (view == "auto" and _can_open_a_window()):
-            picture = (size, camera, zoom, exaggeration)
-            reason = _watch_window(actor, episodes, seed, speed, settings, picture)
-            if not reason:
+        if view in ("rerun", "browser"):
+            _show_in_rerun(next(played()), in_browser=view == "browser")
+            return
+        look = make_camera(camera, zoom, exaggeration)
+        if view == "window" or (view == "auto" and _can_open_a_window()):
+            with need_extra("render"):
+                from octoarm_agents.viewing.window import show_in_window
+                from octoarm_env.rendering.window import WindowError
+            try:
+                show_in_window(played(), (width, height), look, speed=speed, mouse=mouse)
                 return
-            typer.echo(f"{reason}.", err=True)
-            if needs_window:
+            except WindowError as error:
+                typer.echo(f"{error}.", err=True)
+            if view == "window":
                 raise typer.Exit(1)
-        _watch_terminal(actor, episodes, seed, speed, settings, (camera, zoom, exaggeration))
+        _show_in_terminal(played(), look, speed)
     except KeyboardInterrupt:
         typer.echo("Stopped.")
+    finally:
+        env.close()
 
 
 def _can_open_a_window() -> bool:
@@ -153,87 +150,14 @@ def _can_open_a_window() -> bool:
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
-def _by_hand(target: str, arm: Path | None) -> Actor:
-    from octoarm_agents.common.environment import TARGETS
-
-    if target not in TARGETS:
-        raise typer.BadParameter(
-            f"{target!r} is not one of {', '.join(TARGETS)}.", param_hint="'--target'"
-        )
-    return Actor("by hand", None, read_body(arm), {"target": target})
-
-
-def _watch_window(
-    actor: Actor,
-    episodes: int,
-    seed: int,
-    speed: float,
-    settings: dict[str, Any],
-    picture: tuple[tuple[int, int], str, float, float],
-) -> str:
-    """Show it in a window; say why that cannot be, or nothing."""
-    with need_extra("render"):
-        from octoarm_env.rendering.window import WindowError
-    from octoarm_agents.cli.watch_window import MousePolicy, show_in_window
-    from octoarm_agents.policies.episode import Episode
-
-    env = actor.make_env(settings["steps"])
-    mouse = MousePolicy(env.get_wrapper_attr("action_range")) if actor.policy is None else None
-    policy = mouse or actor.policy or "hold"
-
-    def renderer_of(episode: Episode) -> Any:
-        return make_renderer(episode, actor.name, *picture)
-
-    def played() -> Iterator[Episode]:
-        for index in range(episodes):
-            yield Episode(policy, env, seed=seed + index, **settings)
-
-    try:
-        show_in_window(played(), renderer_of, speed=speed, mouse=mouse)
-    except WindowError as error:
-        return str(error)
-    finally:
-        env.close()
-    return ""
-
-
-def _watch_terminal(
-    actor: Actor,
-    episodes: int,
-    seed: int,
-    speed: float,
-    settings: dict[str, Any],
-    picture: tuple[str, float, float],
-) -> None:
+def _show_in_terminal(episodes: Iterator[Episode], camera: Camera, speed: float) -> None:
     from rich.console import Console
 
-    from octoarm_agents.cli.watch_terminal import UPPER_HALF, show_in_terminal
-    from octoarm_agents.policies.episode import Episode
+    from octoarm_agents.viewing.terminal import UPPER_HALF, show_in_terminal
 
     console = Console(highlight=False)
-    _check_encoding(console, UPPER_HALF)
-    env = actor.make_env(settings["steps"])
-
-    camera, zoom, exaggeration = picture
-
-    def renderer_of(episode: Episode, size: tuple[int, int]) -> Any:
-        # Few pixels: the arm fills them.
-        closer = (camera, 1.7 * zoom, exaggeration)
-        return make_renderer(episode, actor.name, size, *closer, overlay=False)
-
-    def played() -> Iterator[Episode]:
-        for index in range(episodes):
-            yield Episode(actor.policy or "hold", env, seed=seed + index, **settings)
-
     try:
-        show_in_terminal(console, played(), renderer_of, speed)
-    finally:
-        env.close()
-
-
-def _check_encoding(console: Console, needed: str) -> None:
-    try:
-        needed.encode(console.encoding)
+        UPPER_HALF.encode(console.encoding)
     except (UnicodeEncodeError, LookupError):
         typer.echo(
             f"Standard output is {console.encoding}, which cannot show the arm: "
@@ -241,3 +165,30 @@ def _check_encoding(console: Console, needed: str) -> None:
             err=True,
         )
         raise typer.Exit(1) from None
+    with need_extra("render"):
+        show_in_terminal(console, episodes, camera, speed)
+
+
+def _show_in_rerun(episode: Episode, *, in_browser: bool) -> None:
+    """Show all of an episode in Rerun's viewer, or in a browser until Ctrl-C."""
+    with need_extra("rerun"):
+        from octoarm_agents.viewing.rerun_streams import RecordingError, log_episode
+        from octoarm_agents.viewing.rerun_viewers import recording_in_browser, recording_in_viewer
+
+    try:
+        with progress_bar(episode.steps, "recording", unit=" steps") as bar:
+            if in_browser:
+                recording, address = recording_in_browser(open_browser=sys.stdout.isatty())
+                log_episode(recording, episode, progress=bar.update)
+            else:
+                with recording_in_viewer() as recording:
+                    log_episode(recording, episode, progress=bar.update)
+    except RecordingError as error:
+        typer.echo(f"cannot show it: {error}. octoarm record writes files.", err=True)
+        raise typer.Exit(1) from None
+    typer.echo(episode.report())
+    if in_browser:
+        typer.echo(f"Look at it in a browser: {address}")
+        typer.echo("Ctrl-C ends it.")
+        while True:
+            time.sleep(3600)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.policies import Policy, load_policy
+from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
-from octoarm_agents.policies.rollout import Acting, Noise, Push, Rollout, roll_out
+from octoarm_agents.policies.rollout import Noise, Policy, Push, Rollout, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 __all__ = [
@@ -168,7 +168,7 @@ class _Test:
 
     def __init__(
         self,
-        policy: Acting | Trivial,
+        policy: Policy | Trivial,
         parameters: ArmParameters,
         settings: dict[str, Any],
         protocol: Protocol,
@@ -225,7 +225,7 @@ class _Test:
         return {name: found[name] for name in ("orbit_distance", "period")}
 
 
-def inference_time(policy: Acting, springs: int, *, calls: int = 2000) -> float:
+def inference_time(policy: Policy, springs: int, *, calls: int = 2000) -> float:
     """Microseconds of a call of `predict` on one observation: the median over calls."""
     lengths = 0.02 + 1e-4 * np.random.default_rng(0).normal(size=springs)
     state, times = None, np.empty(calls)
@@ -237,7 +237,7 @@ def inference_time(policy: Acting, springs: int, *, calls: int = 2000) -> float:
 
 
 def phase_portrait(
-    policy: Acting | Trivial,
+    policy: Policy | Trivial,
     parameters: ArmParameters,
     settings: dict[str, Any],
     *,

@@ -11,7 +11,7 @@ from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
-from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
+from octoarm_agents.policies.rollout import HoldPolicy, Noise, Policy, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
 __all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
@@ -30,7 +30,7 @@ TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
 """All of these."""
 
 
-def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Acting:
+def acting(policy: Policy | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Policy:
     """Give the agent itself, or one of the trivial ones by name.
 
     Raises:
@@ -46,7 +46,7 @@ def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any])
 
 
 def evaluate_policy(
-    policy: Acting | Trivial,
+    policy: Policy | Trivial,
     home: Home,
     *,
     episodes: int = 32,

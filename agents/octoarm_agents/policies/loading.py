@@ -11,11 +11,11 @@ import gymnasium as gym
 
 from octoarm_agents.common.environment import check_spaces, differences, inspect_env
 from octoarm_agents.policies.network_file import load_network
-from octoarm_agents.policies.rollout import Acting
+from octoarm_agents.policies.rollout import Policy
 from octoarm_agents.reservoir import ReadoutPolicy
 from octoarm_env import ArmParameters
 
-__all__ = ["Home", "Policy", "load_policy", "load_trained", "trained_agents"]
+__all__ = ["Agent", "Home", "load_policy", "load_trained", "trained_agents"]
 
 TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
 """The agents that come along, in a folder for each target, and their scores in trained.json."""
@@ -33,8 +33,8 @@ class Home(Protocol):
         """The environment's, `octoarm_agents.common.environment.SETTINGS`."""
 
 
-class Policy(Acting, Home, Protocol):
-    """What `load_policy` gives: an agent that knows where it is at home."""
+class Agent(Policy, Home, Protocol):
+    """What `load_policy` gives: a trained policy that knows where it is at home."""
 
     seed: int | None
 
@@ -48,7 +48,7 @@ def load_policy(
     env: gym.Env[Any, Any] | None = None,
     *,
     settings: Mapping[str, Any] | None = None,
-) -> Policy:
+) -> Agent:
     """Read an agent from its file: a readout (`.json`) or a network (`.npz`).
 
     Args:
@@ -65,7 +65,7 @@ def load_policy(
     path = Path(path)
     if path.suffix not in (".json", ".npz"):
         raise ValueError(f"{path}: expected a file of a readout (.json) or of a network (.npz)")
-    policy: Policy = ReadoutPolicy.load(path) if path.suffix == ".json" else load_network(path)
+    policy: Agent = ReadoutPolicy.load(path) if path.suffix == ".json" else load_network(path)
     used = dict(settings or {})
     if env is not None:
         check_spaces(env)
@@ -80,7 +80,7 @@ def load_policy(
     return policy
 
 
-def load_trained(agent: str, target: str) -> Policy:
+def load_trained(agent: str, target: str) -> Agent:
     """Load one of the trained agents that come with this distribution.
 
     Args:

@@ -1,8 +1,8 @@
-"""Agents in the environment: episodes side by side, undisturbed or disturbed."""
+"""Policies in the environment: episodes side by side, undisturbed or disturbed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from octoarm_agents.common.whole import whole_fields, whole_number
 from octoarm_env import OctoArmVectorEnv
 
-__all__ = ["Acting", "HoldPolicy", "Noise", "Push", "Rollout", "roll_out"]
+__all__ = ["Episodes", "HoldPolicy", "Noise", "Policy", "Push", "Rollout", "roll_out"]
 
 Float = NDArray[np.float64]
 
 
-class Acting(Protocol):
+class Policy(Protocol):
     """Anything that acts as a policy of stable-baselines3 does."""
 
     def predict(
@@ -32,8 +32,6 @@ class Acting(Protocol):
 class HoldPolicy:
     """Holds the base still in the middle: what doing nothing earns."""
 
-    parameter_count = 0
-
     def predict(
         self,
         observation: Any,
@@ -48,7 +46,7 @@ class HoldPolicy:
 
 @dataclass(frozen=True)
 class Push:
-    """Somebody leans on the base: for a while its command is another one than the agent's.
+    """Somebody leans on the base: for a while its command is another one than the policy's.
 
     Attributes:
         size: added to the command, in a direction drawn for each episode [degrees].
@@ -65,6 +63,10 @@ class Push:
             raise ValueError(f"size = {self.size}: expected a number of degrees, not negative")
         whole_fields(self, begin=0, steps=0)
 
+    def at(self, step: int) -> bool:
+        """Whether the base is pushed in a step."""
+        return self.begin <= step < self.begin + self.steps
+
     @classmethod
     def after_a_second(cls, size: float, control_period: float) -> Push:
         """A push for 0.2 s that begins after 1 s, whatever the seconds of a step."""
@@ -73,7 +75,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Noise:
-    """The springs are read badly for a while: white noise on every length that the agent sees.
+    """The springs are read badly for a while: white noise on every length that the policy sees.
 
     Attributes:
         size: half width ν of the uniform noise [m].
@@ -107,7 +109,7 @@ class Rollout:
         failed: whether the arm left its domain, (n,).
         lengths: spring lengths that were to be seen when the step began, (T, n, springs) [m], or
             None if they were not asked for.
-        actions: what the agent did, (T, n, 2).
+        actions: what the policy did, (T, n, 2).
     """
 
     rewards: Float
@@ -125,8 +127,85 @@ class Rollout:
         return total
 
 
+class Episodes:
+    """Episodes side by side, one step after the other; one of them is as good as many.
+
+    Args:
+        policy: acts on all of them at once.
+        envs: an environment for each; none of them may truncate before `steps`. They are reset.
+        seed: episode i begins with seed + i; directions and noise are drawn from it too.
+        steps: T, control periods.
+        push: disturbs the base.
+        noise: disturbs what the policy sees.
+
+    Attributes:
+        steps_made: so far.
+        lengths: of the springs now, without noise, (n, springs) [m].
+        infos: of the last step, or of the reset.
+        rollout: what happened so far; what is still to come is zero.
+
+    Raises:
+        ValueError: fewer than one step, or a seed below 0.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        envs: OctoArmVectorEnv,
+        *,
+        seed: int,
+        steps: int,
+        push: Push | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        self.steps, self.seed = whole_number("steps", steps, 1), whole_number("seed", seed)
+        self.envs, self.push, self.noise = envs, push, noise
+        self._policy, self._state = policy, None
+        count, shape = envs.num_envs, (self.steps, envs.num_envs)
+        self._random = np.random.default_rng(seed)
+        directions = self._random.uniform(0, 2 * np.pi, count)
+        self._offsets = np.stack((np.cos(directions), np.sin(directions)), axis=1)
+        if push is not None:
+            self._offsets *= push.size / np.array(envs.get_attr("action_range"))[:, np.newaxis]
+        self._running = np.ones(count, dtype=bool)
+        self.rollout = Rollout(
+            rewards=np.zeros(shape),
+            angles=np.zeros((*shape, 2)),
+            errors=np.zeros(shape),
+            alive=np.zeros(shape, dtype=bool),
+            failed=np.zeros(count, dtype=bool),
+            actions=np.zeros((*shape, 2)),
+        )
+        self.steps_made = 0
+        self.lengths: Float
+        self.infos: dict[str, Any]
+        self.lengths, self.infos = envs.reset(seed=seed)
+
+    def step(self) -> NDArray[np.float32]:
+        """Let the policy act once; give what the bases were told, pushes included, (n, 2)."""
+        step, seen, done = self.steps_made, self.lengths, self.rollout
+        if self.noise is not None and self.noise.at(step):
+            seen = seen + self.noise.size * self._random.uniform(-1, 1, seen.shape)
+        starts = np.full(len(seen), step == 0)
+        chosen, self._state = self._policy.predict(seen, state=self._state, episode_start=starts)
+        command = np.asarray(chosen, dtype=np.float32)
+        if self.push is not None and self.push.at(step):
+            command = np.clip(command + self._offsets, -1, 1).astype(np.float32)
+        running = self._running
+        self.lengths, rewards, terminated, _, self.infos = self.envs.step(command)
+        done.alive[step], done.actions[step] = running, chosen
+        done.rewards[step] = np.where(running, rewards, 0.0)
+        done.errors[step] = np.where(running, self.infos["tracking_error"], 0.0)
+        angles = self.infos["base_angles"]
+        done.angles[step] = np.where(running[:, np.newaxis], angles, 0.0)
+        done.failed[running & terminated] = True
+        self._running = running & ~terminated
+        self.steps_made += 1
+        return command
+
+
 def roll_out(
-    policy: Acting,
+    policy: Policy,
     envs: OctoArmVectorEnv,
     *,
     seed: int,
@@ -135,7 +214,7 @@ def roll_out(
     noise: Noise | None = None,
     keep_lengths: bool = False,
 ) -> Rollout:
-    """Let an agent act in as many episodes as there are environments.
+    """Let a policy act in as many episodes as there are environments.
 
     Args:
         policy: acts on all of them at once.
@@ -143,7 +222,7 @@ def roll_out(
         seed: episode i begins with seed + i; directions and noise are drawn from it too.
         steps: T, control periods.
         push: disturbs the base.
-        noise: disturbs what the agent sees.
+        noise: disturbs what the policy sees.
         keep_lengths: keep the lengths (without noise).
 
     Returns:
@@ -152,37 +231,10 @@ def roll_out(
     Raises:
         ValueError: fewer than one step, or a seed below 0.
     """
-    steps, seed = whole_number("steps", steps, 1), whole_number("seed", seed)
-    count = envs.num_envs
-    random = np.random.default_rng(seed)
-    directions = random.uniform(0, 2 * np.pi, count)
-    offsets = np.stack((np.cos(directions), np.sin(directions)), axis=1)
-    if push is not None:
-        ranges = np.array(envs.get_attr("action_range"))
-        offsets *= push.size / ranges[:, np.newaxis]
-    rewards, errors = np.zeros((steps, count)), np.zeros((steps, count))
-    angles, actions = np.zeros((steps, count, 2)), np.zeros((steps, count, 2))
-    alive = np.zeros((steps, count), dtype=bool)
-    running, failed = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
-    starts, state = np.ones(count, dtype=bool), None
-    observations, _ = envs.reset(seed=seed)
-    kept = np.empty((steps, *observations.shape)) if keep_lengths else None
-    for step in range(steps):
+    episodes = Episodes(policy, envs, seed=seed, steps=steps, push=push, noise=noise)
+    kept = np.empty((episodes.steps, *episodes.lengths.shape)) if keep_lengths else None
+    for step in range(episodes.steps):
         if kept is not None:
-            kept[step] = observations
-        seen = observations
-        if noise is not None and noise.at(step):
-            seen = observations + noise.size * random.uniform(-1, 1, observations.shape)
-        chosen, state = policy.predict(seen, state=state, episode_start=starts)
-        starts = np.zeros(count, dtype=bool)
-        command = np.asarray(chosen, dtype=np.float32)
-        if push is not None and push.begin <= step < push.begin + push.steps:
-            command = np.clip(command + offsets, -1, 1).astype(np.float32)
-        observations, reward, terminated, _, infos = envs.step(command)
-        alive[step], actions[step] = running, chosen
-        rewards[step] = np.where(running, reward, 0.0)
-        errors[step] = np.where(running, infos["tracking_error"], 0.0)
-        angles[step] = np.where(running[:, np.newaxis], infos["base_angles"], 0.0)
-        failed |= running & terminated
-        running &= ~terminated
-    return Rollout(rewards, angles, errors, alive, failed, actions, kept)
+            kept[step] = episodes.lengths
+        episodes.step()
+    return replace(episodes.rollout, lengths=kept)

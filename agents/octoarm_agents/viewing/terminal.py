@@ -1,4 +1,4 @@
-"""The show of `octoarm watch` in the terminal: the picture of the window, in half blocks."""
+"""Episodes in the terminal: the picture of the window, in half blocks."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import functools
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
 from rich.color import Color
 from rich.console import Console, Group
 from rich.live import Live
@@ -18,12 +17,12 @@ from rich.segment import Segment, Segments
 from rich.style import Style
 from rich.text import Text
 
-from octoarm_agents.policies.episode import Episode
-from octoarm_env.rendering.history import History
+from octoarm_agents.viewing.episode import Episode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from octoarm_env.rendering import Camera
     from octoarm_env.rendering.renderer import Renderer
 
 __all__ = ["UPPER_HALF", "half_blocks", "show_in_terminal"]
@@ -36,6 +35,8 @@ _SMALLEST = (16, 8)
 """Columns and lines that a picture needs; below there are figures alone."""
 _SHARPNESS = 4
 """Pixels of the picture for one of the terminal, along a side."""
+_CLOSER = 1.7
+"""Times the zoom of the window."""
 _FRAME_TIME = 0.04
 """Least time between frames [s]."""
 
@@ -61,78 +62,66 @@ def half_blocks(picture: NDArray[np.uint8]) -> Segments:
     return Segments(segments)
 
 
-class _Show:
-    """An episode, and what the terminal shows of it.
+class _Picture:
+    """Draws an episode in whatever room there is.
 
     Args:
         episode: that is shown.
-        renderer_of: makes what draws it in a size, (width, height) [pixels].
+        camera: from where; in few pixels the arm is drawn larger, to fill them.
     """
 
-    def __init__(
-        self, episode: Episode, renderer_of: Callable[[Episode, tuple[int, int]], Renderer]
-    ) -> None:
-        self.episode, self._renderer_of = episode, renderer_of
+    def __init__(self, episode: Episode, camera: Camera) -> None:
+        self._episode, self._camera = episode, camera.zoomed(_CLOSER)
         self._renderer: Renderer | None = None
-        self._history = History(episode.period)
-        self._history.begin(episode.info)
-
-    def step(self) -> None:
-        """Let the agent act once."""
-        self._history.disturbances = self.episode.disturbances
-        self.episode.step()
-        self._history.add(self.episode.info, self.episode.reward)
 
     def frame(self, width: int, height: int, speed: str) -> Group:
         """Draw what is to be seen now, in so many columns and lines."""
-        columns, lines = min(width, _LARGEST[0]), min(height, _LARGEST[1])
-        status = self._status(speed)
+        episode, columns, lines = self._episode, min(width, _LARGEST[0]), min(height, _LARGEST[1])
+        status = _status(episode, speed)
         status.truncate(max(columns, 1), overflow="ellipsis")
         lines -= 1
         if columns < _SMALLEST[0] or lines < _SMALLEST[1]:
             return Group(status)
         size = (_SHARPNESS * columns, _SHARPNESS * 2 * lines)
         if self._renderer is None or self._renderer.size != size:
-            self._renderer = self._renderer_of(self.episode, size)
-        picture = self._renderer.frame(self.episode.arm_env.arm_joints, self._history)
+            self._renderer = episode.renderer(size, self._camera, overlay=False)
+        picture = self._renderer.frame(episode.joints, episode.history)
         blocks = picture.reshape(2 * lines, _SHARPNESS, columns, _SHARPNESS, 3)
         return Group(half_blocks(blocks.mean(axis=(1, 3)).astype(np.uint8)), status)
 
-    def _status(self, speed: str) -> Text:
-        episode = self.episode
-        alarms = [*episode.disturbances, *(["left its domain"] if episode.failure else [])]
-        duration = episode.steps * episode.period
-        figures = (
-            f"{episode.time:.2f} of {duration:.2f} s  return {episode.earned:.1f} of "
-            f"{episode.steps_made}  error {episode.info['tracking_error']:.2f}°  {speed}"
-        )
-        alarm = f" {' + '.join(alarms).upper()} " if alarms else ""
-        return Text.assemble(figures, "  ", (alarm, "bold white on red"), no_wrap=True)
+
+def _status(episode: Episode, speed: str) -> Text:
+    history = episode.history
+    alarms = [*history.disturbances, *(["left its domain"] if history.failure else [])]
+    figures = (
+        f"{history.time:.2f} of {episode.steps * episode.control_period:.2f} s  "
+        f"return {history.total:.1f} of {history.steps}  "
+        f"error {history.tracking_error:.2f}°  {speed}"
+    )
+    alarm = f" {' + '.join(alarms).upper()} " if alarms else ""
+    return Text.assemble(figures, "  ", (alarm, "bold white on red"), no_wrap=True)
 
 
 def show_in_terminal(
-    console: Console,
-    episodes: Iterable[Episode],
-    renderer_of: Callable[[Episode, tuple[int, int]], Renderer],
-    speed: float,
+    console: Console, episodes: Iterable[Episode], camera: Camera, speed: float
 ) -> None:
     """Show episodes one after the other, live; into a pipe their figures alone.
 
     Args:
         console: where to.
         episodes: made one by one.
-        renderer_of: makes what draws an episode in a size, (width, height) [pixels].
+        camera: from where.
         speed: times real time.
     """
     # FORCE_COLOR and the like make a terminal of a pipe in the eyes of rich.
     live = sys.stdout.isatty() and console.is_terminal and not console.is_dumb_terminal
     if live and console.color_system is not None:
-        _show_live(console, (_Show(episode, renderer_of) for episode in episodes), speed)
+        _show_live(console, episodes, camera, speed)
         return
     for episode in episodes:
         while not episode.ended:
             episode.step()
-        typer.echo(episode.report())
+        print(episode.report())
 
 
 class _Pace:
@@ -168,30 +157,29 @@ class _Pace:
         return wanted if reached > 0.95 * self._speed else f"{reached:.2g}× of {wanted}"
 
 
-def _show_live(console: Console, shows: Iterable[_Show], speed: float) -> None:
+def _show_live(console: Console, episodes: Iterable[Episode], camera: Camera, speed: float) -> None:
     reports: list[str] = []
-    show: _Show | None = None
+    picture: _Picture | None = None
     words = f"{speed:g}×"
     try:
         with Live(console=console, screen=True, auto_refresh=False) as live:
-            for show in shows:
-                pace = _Pace(speed, show.episode.period)
+            for episode in episodes:
+                picture, pace = _Picture(episode, camera), _Pace(speed, episode.control_period)
                 next_frame = time.monotonic()
-                while not show.episode.ended:
+                while not episode.ended:
                     pace.wait()
-                    show.step()
+                    episode.step()
                     now = time.monotonic()
-                    if now < next_frame and not show.episode.ended:
+                    if now < next_frame and not episode.ended:
                         continue
                     words = str(pace)
-                    frame: Any = show.frame(console.width, console.height, words)
-                    live.update(frame, refresh=True)
+                    live.update(picture.frame(console.width, console.height, words), refresh=True)
                     # At most half of the time goes into drawing.
                     next_frame = now + max(_FRAME_TIME, 2 * (time.monotonic() - now))
-                reports.append(show.episode.report())
+                reports.append(episode.report())
     except KeyboardInterrupt:
         reports.append("Stopped.")
     # The screen of before is back; what was seen last stays on it.
-    if show is not None:
-        console.print(show.frame(console.width, console.height - 2 - len(reports), words))
-    typer.echo("\n".join(reports))
+    if picture is not None:
+        console.print(picture.frame(console.width, console.height - 2 - len(reports), words))
+    print("\n".join(reports))

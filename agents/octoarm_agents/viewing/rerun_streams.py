@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from octoarm_agents.common.environment import SETTINGS
 from octoarm_agents.common.files import atomic_file
-from octoarm_agents.inspection_layout import layout
-from octoarm_agents.policies.episode import Episode
 from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_agents.viewing.episode import Episode
+from octoarm_agents.viewing.rerun_layout import layout
 from octoarm_env import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.colours import (
@@ -36,13 +38,14 @@ from octoarm_env.rendering.colours import (
 __all__ = [
     "APPLICATION",
     "STREAMS",
-    "EpisodeLog",
     "RecordingError",
     "begin_recording",
+    "log_episode",
     "recording_file",
 ]
 
 Float = NDArray[np.float64]
+Steps = NDArray[np.int64]
 
 APPLICATION = "octoarm"
 """Under this name the viewer files the recordings."""
@@ -79,7 +82,7 @@ _ERROR: Colour = (255, 120, 100)
 _AXES: Colour = (60, 96, 116)
 
 
-class RecordingError(Exception):
+class RecordingError(OSError):
     """Nothing can be recorded: no viewer opens, or logging is switched off."""
 
 
@@ -125,92 +128,74 @@ def begin_recording() -> rr.RecordingStream:
     return recording
 
 
-class _Moment(NamedTuple):
-    """What there is to say of a moment, and of the step that ends in it."""
-
-    joints: Float
-    lengths: Float
-    angles: Float
-    target: Float
-    error: float
-    command: Float
-    rewards: tuple[float, float, float, float]
-
-
-class EpisodeLog:
-    """Logs an episode, from its first moment on; the episode notices nothing of it.
-
-    Row k of what describes a moment is k control periods after the beginning. What belongs to a
-    step, command and reward, is in the row of the moment in which the step ends; there is none
-    in row 0. What is not a finite number is left out.
+def log_episode(
+    recording: rr.RecordingStream,
+    episode: Episode,
+    *,
+    progress: Callable[[], object] = lambda: None,
+) -> None:
+    """Let an episode run, and log all of it; the episode notices nothing of that.
 
     Args:
         recording: where the streams go; what is to receive them is attached already.
-        episode: that has not begun yet.
-        title: of the recording.
-        push: size of the push that the episode has [degrees]; 0: none.
-        noise: half width of the noise that the agent sees [m]; 0: none.
+        episode: at its beginning.
+        progress: called after each step.
+    """
+    log = _EpisodeLog(recording, episode)
+    while not episode.ended:
+        log.step()
+        progress()
+
+
+class _EpisodeLog:
+    """What `log_episode` does.
+
+    Row k of what describes a moment is k control periods after the beginning. What belongs to a
+    step, command and reward, is in the row of the moment in which the step ends; there is none
+    in row 0.
     """
 
-    def __init__(
-        self,
-        recording: rr.RecordingStream,
-        episode: Episode,
-        title: str,
-        *,
-        push: float = 0.0,
-        noise: float = 0.0,
-    ) -> None:
+    def __init__(self, recording: rr.RecordingStream, episode: Episode) -> None:
         self._recording, self._episode = recording, episode
-        self._push, self._noise = push, noise
-        self._nanoseconds = 1e9 * episode.period
-        self._first = 0
-        self._waiting: list[_Moment] = []
+        self._nanoseconds = 1e9 * episode.control_period
+        self._waiting: list[dict[str, Any]] = []
         self._events: list[tuple[int, str, str]] = []
-        self._last_angles: Float | None = None
+        self._trail_end: Float = episode.command
         self._was_pushed = False
-        recording.send_recording_name(title)
+        self._title = f"{episode.title}, seed {episode.seed}"
+        recording.send_recording_name(self._title)
         recording.send_blueprint(layout(episode))
-        self._log_static(title)
-        self._note(f"{title} begins on the orbit")
-        if episode.noisy:
-            self._note(f"the agent sees the lengths with noise of ±{noise:g} m", "WARN")
-        self._remember(np.full(2, np.nan), (np.nan, np.nan, np.nan, np.nan))
+        self._log_static()
+        self._note(f"{self._title} begins on the orbit")
+        if episode.noise is not None:
+            size = episode.noise.size
+            self._note(f"the agent sees the lengths with noise of ±{size:g} m", "WARN")
+        self._remember()
 
     def step(self) -> None:
-        """Log the step that the episode has just made."""
-        episode, info = self._episode, self._episode.info
-        terms = float(info["reward_tracking"]), float(info["reward_action_change"])
-        self._remember(episode.command, (episode.reward, *terms, episode.earned))
-        if episode.failure:
-            self._note(f"the arm left its domain: {episode.failure}", "ERROR")
-        if len(self._waiting) >= _BLOCK:
+        """Let the episode make a step, and log it."""
+        self._episode.step()
+        self._remember()
+        if self._episode.history.failure:
+            self._note(f"the arm left its domain: {self._episode.history.failure}", "ERROR")
+        if self._episode.ended:
+            self._note(self._episode.report())
+        if self._episode.ended or len(self._waiting) >= _BLOCK:
             self._send()
 
-    def finish(self) -> None:
-        """Log how the episode went, and send all that waits."""
-        self._note(self._episode.report())
-        self._send()
-
-    def _remember(self, command: Float, rewards: tuple[float, float, float, float]) -> None:
-        episode, info = self._episode, self._episode.info
-        self._waiting.append(
-            _Moment(
-                episode.arm_env.arm_joints,
-                np.array(episode.lengths),
-                np.array(info["base_angles"]),
-                np.array(info["target"]),
-                float(info["tracking_error"]),
-                command,
-                rewards,
-            )
-        )
-        pushed = episode.pushed and not episode.ended
-        if pushed != self._was_pushed:
-            self._note(
-                f"somebody pushes the base by {self._push:g}°" if pushed else "the push ends",
-                "WARN" if pushed else "INFO",
-            )
+    def _remember(self) -> None:
+        episode, info, step = self._episode, self._episode.info, self._episode.steps_made
+        row = {name: info[name] for name in ("base_angles", "target", "tracking_error")}
+        row |= {"joints": episode.joints, "lengths": episode.lengths[0], "step": step}
+        row |= {"command": episode.command, "return": episode.history.total}
+        row |= {name: info[f"reward_{name}"] for name in ("tracking", "action_change")}
+        row["reward"] = episode.rollout.rewards[step - 1, 0]
+        self._waiting.append(row)
+        pushed = "pushed" in episode.disturbances and not episode.ended
+        if pushed and not self._was_pushed and episode.push is not None:
+            self._note(f"somebody pushes the base by {episode.push.size:g}°", "WARN")
+        elif self._was_pushed and not pushed:
+            self._note("the push ends")
         self._was_pushed = pushed
 
     def _note(self, text: str, level: str = "INFO") -> None:
@@ -218,17 +203,14 @@ class EpisodeLog:
 
     # What does not change.
 
-    def _log_static(self, title: str) -> None:
+    def _log_static(self) -> None:
         episode = self._episode
-        body, orbit = episode.parameters, _thinned(episode.arm_env.orbit)
+        body, orbit = episode.settings.arm, _thinned(episode.orbit)
         count, radius = body.compartments, body.base_radius
         pointer = _POINTER * body.rest_length * count
         log = self._log_once
         log(
-            "about",
-            rr.TextDocument(
-                _about(episode, title, self._push, self._noise), media_type=rr.MediaType.MARKDOWN
-            ),
+            "about", rr.TextDocument(_about(episode, self._title), media_type=rr.MediaType.MARKDOWN)
         )
         stands = body.gravity[2] < 0
         coordinates = rr.ViewCoordinates
@@ -257,12 +239,12 @@ class EpisodeLog:
                 f"world/{name}/pointer",
                 rr.Arrows3D(vectors=[0.0, 0.0, -pointer], radii=thick * radius, colors=colour),
             )
-        ends = _rotated(_quaternions(orbit), np.array([0.0, 0.0, -pointer]))
+        ends = _attitudes(orbit).apply([0.0, 0.0, -pointer])
         log("world/orbit", rr.LineStrips3D([ends], radii=0.04 * radius, colors=ORBIT))
 
         # The flip turns the downward axis of a flat view upwards; the data keep their signs.
         log("portrait/plane", rr.Transform3D(scale=[1.0, -1.0, 1.0]))
-        reach = episode.arm_env.action_range
+        reach = episode.action_range
         log(
             "portrait/plane/axes",
             rr.LineStrips2D(
@@ -337,98 +319,70 @@ class EpisodeLog:
     # What changes from row to row.
 
     def _send(self) -> None:
-        """Send the rows that wait."""
+        """Send the rows and events that wait."""
         if self._waiting:
-            first, self._first = self._first, self._first + len(self._waiting)
-            rows = np.arange(first, self._first)
-            joints, lengths, angles, targets, errors, commands, rewards = (
-                np.array(column) for column in zip(*self._waiting, strict=True)
-            )
+            first, *_ = self._waiting
+            rows = {name: np.array([row[name] for row in self._waiting]) for name in first}
             self._waiting.clear()
-            self._send_arm(rows, joints, lengths)
-            self._send_base(rows, angles, targets)
+            self._send_arm(rows["step"], rows["joints"], rows["lengths"])
+            self._send_base(rows["step"], rows["base_angles"], rows["target"])
+            orbit = orbit_distance(rows["base_angles"], self._episode.orbit)
+            self._send_scalars("error/tracking", rows["step"], rows["tracking_error"])
+            self._send_scalars("error/orbit", rows["step"], orbit)
+            made = rows["step"] > 0
             for axis, name in enumerate(("theta", "phi")):
-                self._send_scalars(f"angles/{name}/command", rows, commands[:, axis])
-            self._send_scalars("error/tracking", rows, errors)
-            finite = np.isfinite(angles).all(axis=1)
-            distances = orbit_distance(angles[finite], self._episode.arm_env.orbit)
-            self._send_scalars("error/orbit", rows[finite], distances)
-            for column, name in enumerate(("reward", "tracking", "action_change", "return")):
-                self._send_scalars(f"reward/{name}", rows, rewards[:, column])
+                command = rows["command"][made, axis]
+                self._send_scalars(f"angles/{name}/command", rows["step"][made], command)
+            for name in ("reward", "tracking", "action_change", "return"):
+                self._send_scalars(f"reward/{name}", rows["step"][made], rows[name][made])
         if self._events:
             steps, texts, levels = zip(*self._events, strict=True)
             self._events.clear()
             columns = rr.TextLog.columns(text=texts, level=levels)
             self._send_columns("events", np.array(steps), columns)
 
-    def _send_arm(self, rows: NDArray[np.int64], joints: Float, lengths: Float) -> None:
-        finite = np.isfinite(joints).all(axis=(1, 2, 3)) & np.isfinite(lengths).all(axis=1)
-        rows, joints, lengths = rows[finite], joints[finite], lengths[finite]
-        count, planes = len(rows), joints.shape[1]
-        if not count:
-            return
+    def _send_arm(self, steps: Steps, joints: Float, lengths: Float) -> None:
+        count, planes = joints.shape[:2]
         skins = np.array([mesh.skin(each) for each in joints], dtype=np.float32)
+        vertices = rr.Mesh3D.columns(vertex_positions=skins.reshape(-1, 3))
         self._send_columns(
-            "world/arm/skin",
-            rows,
-            rr.Mesh3D.columns(vertex_positions=skins.reshape(-1, 3)).partition(
-                [skins[0].size // 3] * count
-            ),
+            "world/arm/skin", steps, vertices.partition([skins[0].size // 3] * count)
         )
         strips = joints.transpose(0, 2, 1, 3).reshape(-1, planes, 3).astype(np.float32)
-        self._send_columns(
-            "world/arm/springs",
-            rows,
-            rr.LineStrips3D.columns(strips=list(strips)).partition([4] * count),
-        )
-        rest_length = self._episode.parameters.rest_length
+        springs = rr.LineStrips3D.columns(strips=list(strips))
+        self._send_columns("world/arm/springs", steps, springs.partition([4] * count))
+        rest_length = self._episode.settings.arm.rest_length
         strains = lengths.reshape(count, -1, 4).transpose(0, 2, 1) / rest_length - 1
         pictures = strain_colours(strains).reshape(count, -1)
-        self._send_columns("strain", rows, rr.Image.columns(buffer=list(pictures)))
+        self._send_columns("strain", steps, rr.Image.columns(buffer=list(pictures)))
         for spring in range(4):
-            own = lengths[:, spring::4]
-            self._send_columns(
-                f"springs/{spring + 1}",
-                rows,
-                rr.Scalars.columns(scalars=own.reshape(-1)).partition([own.shape[1]] * count),
-            )
+            self._send_scalars(f"springs/{spring + 1}", steps, lengths[:, spring::4])
 
-    def _send_base(self, rows: NDArray[np.int64], angles: Float, targets: Float) -> None:
+    def _send_base(self, steps: Steps, angles: Float, targets: Float) -> None:
         for kind, pairs in (("base", angles), ("target", targets)):
-            finite = np.isfinite(pairs).all(axis=1)
-            kept, moments = pairs[finite], rows[finite]
             for axis, name in enumerate(("theta", "phi")):
-                self._send_scalars(f"angles/{name}/{kind}", moments, kept[:, axis])
-            if not len(kept):
-                continue
-            attitudes = _quaternions(kept).astype(np.float32)
-            self._send_columns(
-                f"world/{kind}", moments, rr.Transform3D.columns(quaternion=attitudes)
-            )
-            points = kept.astype(np.float32)
-            self._send_columns(
-                f"portrait/plane/{kind}", moments, rr.Points2D.columns(positions=points)
-            )
-            if kind == "base":
-                begin = kept[0] if self._last_angles is None else self._last_angles
-                befores = np.concatenate((begin[np.newaxis], kept[:-1])).astype(np.float32)
-                pieces = list(np.stack((befores, points), axis=1))
-                self._send_columns(
-                    "portrait/plane/trail", moments, rr.LineStrips2D.columns(strips=pieces)
-                )
-                self._last_angles = kept[-1]
+                self._send_scalars(f"angles/{name}/{kind}", steps, pairs[:, axis])
+            attitudes = _attitudes(pairs).as_quat().astype(np.float32)
+            turned = rr.Transform3D.columns(quaternion=attitudes)
+            self._send_columns(f"world/{kind}", steps, turned)
+            points = rr.Points2D.columns(positions=pairs.astype(np.float32))
+            self._send_columns(f"portrait/plane/{kind}", steps, points)
+        befores = np.concatenate((self._trail_end[np.newaxis], angles[:-1]))
+        pieces = np.stack((befores, angles), axis=1).astype(np.float32)
+        trail = rr.LineStrips2D.columns(strips=list(pieces))
+        self._send_columns("portrait/plane/trail", steps, trail)
+        self._trail_end = angles[-1]
 
-    def _send_scalars(self, path: str, rows: NDArray[np.int64], values: Float) -> None:
-        finite = np.isfinite(values)
-        if finite.any():
-            self._send_columns(path, rows[finite], rr.Scalars.columns(scalars=values[finite]))
+    def _send_scalars(self, path: str, steps: Steps, values: Float) -> None:
+        """Send numbers, (n,) or, several a row, (n, k)."""
+        if len(values):
+            columns = rr.Scalars.columns(scalars=values.reshape(-1))
+            self._send_columns(path, steps, columns.partition([values[0].size] * len(values)))
 
-    def _send_columns(
-        self, path: str, rows: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
-    ) -> None:
+    def _send_columns(self, path: str, steps: Steps, columns: Iterable[rr.ComponentColumn]) -> None:
         # Whole nanoseconds: a float of seconds would be cut off, not rounded.
-        times = np.rint(rows * self._nanoseconds).astype("timedelta64[ns]")
-        indexes = [rr.TimeColumn("time", duration=times), rr.TimeColumn("step", sequence=rows)]
+        times = np.rint(steps * self._nanoseconds).astype("timedelta64[ns]")
+        indexes = [rr.TimeColumn("time", duration=times), rr.TimeColumn("step", sequence=steps)]
         self._recording.send_columns(path, indexes, columns, strict=True)
 
 
@@ -499,44 +453,31 @@ def _thinned(orbit: Float, points: int = 256) -> Float:
     return np.concatenate((orbit[:: max(1, len(orbit) // points)], orbit[:1]))
 
 
-def _quaternions(angles: Float) -> Float:
-    """Attitudes of the base: turned by θ about x, then by φ about its own y.
+def _attitudes(angles: Float) -> Any:
+    """Attitudes of the base, a `Rotation`: turned by θ about x, then by φ about its own y.
 
     Args:
         angles: (n, 2) [degrees].
-
-    Returns:
-        Quaternions x, y, z, w, (n, 4).
     """
-    half = 0.5 * np.radians(angles)
-    (s, t), (c, d) = np.sin(half).T, np.cos(half).T
-    return np.stack((s * d, c * t, s * t, c * d), axis=1)
+    return Rotation.from_euler("XY", angles, degrees=True)
 
 
-def _rotated(quaternions: Float, vector: Float) -> Float:
-    """Turn a vector by each of the quaternions, (n, 3)."""
-    axis, w = quaternions[:, :3], quaternions[:, 3:]
-    across = 2.0 * np.cross(axis, vector)
-    turned: Float = vector + w * across + np.cross(axis, across)
-    return turned
-
-
-def _about(episode: Episode, title: str, push: float, noise: float) -> str:
+def _about(episode: Episode, title: str) -> str:
     """Describe an episode, its body and its streams, in Markdown."""
-    env, settings = episode.arm_env, dict(episode.settings)
+    settings = {name: getattr(episode.settings, name) for name in SETTINGS}
     if not isinstance(settings["target"], str):
         settings["target"] = f"its own, {len(settings['target'])} points"
     facts: dict[str, Any] = {
         "seed": episode.seed,
         "steps": episode.steps,
-        "push [degrees]": push or "none",
-        "noise [m]": noise or "none",
+        "push [degrees]": episode.push.size if episode.push else "none",
+        "noise [m]": episode.noise.size if episode.noise else "none",
         **settings,
-        "period of the target [s]": env.period,
+        "period of the target [s]": episode.period,
     }
     lines = [f"# {title}", *_table("Episode", facts)]
     lines += _table("Streams", {f"`{path}`": meaning for path, meaning in STREAMS.items()})
-    lines += _table("Body (SI units)", episode.parameters.to_dict())
+    lines += _table("Body (SI units)", episode.settings.arm.to_dict())
     return "\n".join(lines) + "\n"
 
 

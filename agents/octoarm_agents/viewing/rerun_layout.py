@@ -1,4 +1,4 @@
-"""How the Rerun viewer lays out the streams of `inspection`."""
+"""How the Rerun viewer lays out the streams of `rerun_streams`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
-from octoarm_agents.policies.episode import Episode
+from octoarm_agents.viewing.episode import Episode
 from octoarm_env.rendering.colours import Colour
 from octoarm_env.rendering.history import LATE
 
@@ -17,10 +17,10 @@ _SEA: Colour = (4, 22, 40)
 
 def layout(episode: Episode) -> rrb.Blueprint:
     """Give the arrangement of the views: the arm on the left, the base and the rewards right."""
-    body = episode.parameters
+    body = episode.settings.arm
     length = body.rest_length * body.compartments
     ground = rrb.archetypes.PlotBackground(color=_SEA, show_grid=True)
-    reach = 1.12 * episode.arm_env.action_range
+    reach = 1.12 * episode.action_range
     late = [
         rrb.VisibleTimeRange(
             "time",
@@ -29,7 +29,7 @@ def layout(episode: Episode) -> rrb.Blueprint:
         ),
         rrb.VisibleTimeRange(
             "step",
-            start=rrb.TimeRangeBoundary.cursor_relative(seq=-round(LATE / episode.period)),
+            start=rrb.TimeRangeBoundary.cursor_relative(seq=-round(LATE / episode.control_period)),
             end=rrb.TimeRangeBoundary.cursor_relative(),
         ),
     ]
