@@ -61,7 +61,7 @@ def test_memoryless_legendre_polynomials_have_one_capacity_a_degree(random):
     )
     # The samples' own range is 1e-3 short of [-1, 1].
     np.testing.assert_allclose(processing.by_degree, 1.0, atol=0.02)
-    np.testing.assert_allclose(processing.by_degree_and_delay[:, 0], 1.0, atol=0.01)
+    np.testing.assert_allclose(processing.by_degree_and_oldest_delay[:, 0], 1.0, atol=0.01)
 
 
 def test_products_of_delayed_inputs_are_found_where_they_are(random):
@@ -73,7 +73,7 @@ def test_products_of_delayed_inputs_are_found_where_they_are(random):
     expected[1, 3] = 1.0
     # x³ = 2/5 P3 + 3/5 P1; with the norms' squares 1/7 and 1/3 the shares are 4/25 and 21/25.
     expected[2, 1], expected[0, 1] = 0.16, 0.84
-    np.testing.assert_allclose(processing.by_degree_and_delay, expected, atol=0.02)
+    np.testing.assert_allclose(processing.by_degree_and_oldest_delay, expected, atol=0.02)
     assert processing.targets_by_degree == (12, 78, 120)
     assert count_targets((5, 5, 3), inputs=2) == 210
 
@@ -191,7 +191,7 @@ def test_polynomials_follow_the_distribution(random, draw, family):
     assert distribution.family == family
     assert distribution.independent
     polynomials = orthonormal_polynomials(values, 3, family)
-    if distribution.values > 3:
+    if distribution.different_values > 3:
         gram = polynomials @ polynomials.T / ROWS
         # Sampling error; the sixth moment of a normal variable has the largest.
         tolerance = {"legendre": 0.1, "hermite": 0.35, "empirical": 1e-10}[family]
@@ -213,7 +213,7 @@ def test_an_input_with_memory_of_its_own_is_reported(random):
     inputs = np.convolve(random.uniform(-1, 1, ROWS + 4), np.ones(5) / 5, "valid")
     recording = Recording(delay_line(inputs, (1, 2)), inputs)
     result = measure(recording, MeasureSettings(max_delay=10, delays=(10, 3)))
-    assert not result.processing.distributions[0].independent
+    assert not result.processing.inputs[0].independent
     assert "not independent in time" in result.warnings[0]
 
 
@@ -228,7 +228,7 @@ def test_thousands_of_functions(random):
     ("change", "message"),
     [
         ({"max_delay": 0}, "max_delay = 0: expected a whole number, at least 1"),
-        ({"washout": -1}, "washout = -1: expected a number of rows"),
+        ({"washout": -1}, "washout = -1: expected a whole number, at least 0"),
         ({"noise": -1.0}, "noise = -1.0: expected a number"),
         ({"significance": 0.0}, "significance = 0.0: expected a probability"),
         ({"training_fraction": 0.0}, "training_fraction = 0.0: expected 0.1 to 0.9"),

@@ -146,7 +146,7 @@ def test_missing_parts_are_named(tmp_path, arrays):
     ("option", "value", "message"),
     [
         ("--delays", "8,x", "expected whole numbers"),
-        ("--delays", "8,-1", "expected whole numbers"),
+        ("--delays", "8,-1", "delays[1] = -1: expected a whole number, at least 0"),
         ("--delays", "99,99,99,99,99", "functions: expected at most"),
         ("--noise", -1, "-1.0 is not between 0 and"),
         ("--training", 0.95, "0.95 is not between 0.1 and 0.9"),

@@ -1,23 +1,28 @@
 """The searches for the body and for how a cycle is taught, on small slices."""
 
+import dataclasses
 import json
 import math
 
 import numpy as np
 import pytest
 from octoarm_agents.calibration.body import measure_again
+from octoarm_agents.calibration.evaluation import (
+    Evaluation,
+    Judgement,
+    append_evaluations,
+    read_evaluations,
+)
 from octoarm_agents.calibration.outcomes import (
     PAPER_OUTCOMES,
     count_contradictions,
     describe_outcomes,
     plain_outcomes,
 )
-from octoarm_agents.calibration.record import append_evaluations, read_evaluations
 from octoarm_agents.calibration.score import (
     FAILURE,
     TEACHER_STEPS,
     evaluate_bodies,
-    evaluate_body,
     follow_teachers,
     initial_steps,
     measure_task1,
@@ -57,6 +62,10 @@ def spaces(*, tilt=False, signs=(1.0, -1.0), base=BODY):
     return [SearchSpace(base, sign, "applied", "wetted", tilt) for sign in signs]
 
 
+def evaluate_body(body, *settings, **more):
+    return evaluate_bodies([body], *settings, **more)[0]
+
+
 def read(path):
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -75,7 +84,7 @@ def test_the_score_is_as_it_says():
     assert score(1e300, 1e300, 1e300) == FAILURE
 
 
-def test_the_papers_training_makes_of_its_body_what_the_paper_reports():
+def test_the_papers_training_makes_of_its_body_what_the_paper_reports(monkeypatch):
     outcomes = plain_outcomes(ArmParameters.preset("nakajima2013"), 1)
     assert outcomes == {target: [outcome] for target, outcome in PAPER_OUTCOMES.items()}
     assert count_contradictions(outcomes) == 0
@@ -83,10 +92,11 @@ def test_the_papers_training_makes_of_its_body_what_the_paper_reports():
     assert describe_outcomes(outcomes).endswith("lissajous 1 of 1")
     lost = plain_outcomes(BODY, 1)
     assert lost["quadratic"] == ["lost"]
+    monkeypatch.setattr("octoarm_agents.calibration.score.plain_outcomes", lambda *_: lost)
     judged = evaluate_body(BODY, 500, noise_seeds=1)
-    assert judged["outcomes"] == lost
-    expected = score_ratios(judged["ratios"]) + 10 * count_contradictions(lost)
-    assert judged["score"] == pytest.approx(expected)
+    assert judged.outcomes == lost
+    expected = score_ratios(judged.ratios) + 10 * count_contradictions(lost)
+    assert judged.score == pytest.approx(expected)
 
 
 def test_ratios_are_those_of_the_trials_of_table_2():
@@ -101,24 +111,22 @@ def test_ratios_are_those_of_the_trials_of_table_2():
 
 def test_failures_are_graded_by_how_far_the_body_got():
     sound = evaluate_body(BODY, 500, {"lissajous": 5.0})
-    assert sound["failure"] is None
-    assert sound["score"] == score_ratios(sound["ratios"]) < FAILURE
+    assert sound.failure is None
+    assert sound.score == score_ratios(sound.ratios) < FAILURE
     # A teacher of 400 degrees breaks any arm, one of 200 later.
     graded = [evaluate_body(BODY, 500, {"lissajous": 5.0, "van_der_pol": R}) for R in (400, 200)]
     for each in graded:
-        assert each["ratios"] == sound["ratios"]
-        assert each["failure"]["stage"] == "van_der_pol"
-        assert 0 < each["failure"]["part"] < 1
-        assert each["score"] == FAILURE + 1 - each["failure"]["part"]
-    assert graded[0]["score"] > graded[1]["score"]
-    # One more stage is left if the first of two cycles breaks it.
-    first = evaluate_body(BODY, 500, {"van_der_pol": 400.0, "lissajous": 5.0})
-    assert first["score"] == pytest.approx(graded[0]["score"] + 1)
-    # And all of them if Task 1 does.
-    slack = evaluate_body(SLACK, 500, {"van_der_pol": 400.0, "lissajous": 5.0})
-    assert slack["ratios"] is None
-    assert slack["failure"]["stage"] in ("task1", "rest")
-    assert slack["score"] == FAILURE + 3 - slack["failure"]["part"] > first["score"]
+        assert each.ratios == sound.ratios
+        assert each.failure["stage"] == "van_der_pol"
+        assert 0 < each.failure["part"] < 1
+        assert each.score == FAILURE + 1 - each.failure["part"]
+    assert graded[0].score > graded[1].score
+    # One more stage is left if the first of two cycles breaks it, and all of them if Task 1 does.
+    first, slack = evaluate_bodies([BODY, SLACK], 500, {"van_der_pol": 400.0, "lissajous": 5.0})
+    assert first.score == pytest.approx(graded[0].score + 1)
+    assert slack.ratios is None
+    assert slack.failure["stage"] in ("task1", "rest")
+    assert slack.score == FAILURE + 3 - slack.failure["part"] > first.score
 
 
 def test_a_teacher_is_followed_or_not():
@@ -148,15 +156,14 @@ def test_bodies_are_judged_together_as_alone():
     ]
     amplitudes = {"lissajous": 5.0, "van_der_pol": 75.0}
     alone = [evaluate_body(body, 300, amplitudes) for body in bodies]
-    assert evaluate_bodies(bodies, 300, amplitudes) == alone
     assert evaluate_bodies(bodies[::-1], 300, amplitudes) == alone[::-1]
-    stages = [each["failure"] and each["failure"]["stage"] for each in alone]
+    stages = [each.failure and each.failure["stage"] for each in alone]
     assert stages == [
         *(None, "rest", None, None),
         *("van_der_pol", "task1", "rest", "van_der_pol"),
     ]
-    assert "timestep = 0.0005" in alone[6]["failure"]["message"]
-    assert "equilibrium" in alone[1]["failure"]["message"]
+    assert "timestep = 0.0005" in alone[6].failure["message"]
+    assert "equilibrium" in alone[1].failure["message"]
     assert evaluate_bodies([], 300, amplitudes) == []
 
 
@@ -222,10 +229,26 @@ def test_gravity_is_tilted_by_the_angle_asked_for():
     assert tilt_gravity((half, 0, half), 45.0) == pytest.approx([9.81, 0, 0])
 
 
-def test_a_search_goes_on_where_it_was_interrupted(tmp_path):
-    whole = search_bodies(spaces(), evaluations=14, file=tmp_path / "whole.jsonl", seed=3)
+def bowl(bodies, initial, amplitudes, noise_seeds):
+    """Scores that know where they are lowest: light planes, much drag."""
+    assert amplitudes == {"quadratic": 60.0}
+    return [
+        Judgement(
+            math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
+            None,
+            dict.fromkeys(TASKS, 1.0),
+            None,
+        )
+        for body in bodies
+    ]
+
+
+def test_a_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setattr("octoarm_agents.calibration.search.evaluate_bodies", bowl)
+    settings = {"evaluations": 14, "seed": 3, "amplitudes": {"quadratic": 60.0}}
+    whole = search_bodies(spaces(), file=tmp_path / "whole.jsonl", **settings)
     assert len(whole) == 28
-    signs = [each["body"]["lift_scale"] for each in whole]
+    signs = [each.body["lift_scale"] for each in whole]
     assert signs == [1] * 12 + [-1] * 12 + [1] * 2 + [-1] * 2
     assert whole == read_evaluations(tmp_path / "whole.jsonl")
     lines = (tmp_path / "whole.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
@@ -234,37 +257,23 @@ def test_a_search_goes_on_where_it_was_interrupted(tmp_path):
     # Ended in the middle of the first generation, and of a line.
     file.write_text("".join(lines[:5]) + lines[5][:40], encoding="utf-8")
     state = np.random.get_state()[1].copy()  # noqa: NPY002, that nothing touches it is the point
-    assert search_bodies(spaces(), evaluations=14, file=file, seed=3) == whole
+    assert search_bodies(spaces(), file=file, **settings) == whole
     np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
     assert sorted(file.read_text(encoding="utf-8").splitlines(keepends=True)) == sorted(lines)
     # Once more: nothing is computed.
     before = file.read_bytes()
-    assert search_bodies(spaces(), evaluations=14, file=file, seed=3) == whole
+    assert search_bodies(spaces(), file=file, **settings) == whole
     assert file.read_bytes() == before
 
 
 def test_a_search_does_not_depend_on_jobs_nor_on_others_in_its_file(tmp_path):
     space = spaces(tilt=True, signs=(-1.0,))
-    alone = search_bodies(space, evaluations=6, file=tmp_path / "alone.jsonl", seed=1)
+    alone = search_bodies(space, evaluations=3, file=tmp_path / "alone.jsonl", seed=1)
     together = tmp_path / "together.jsonl"
-    other = search_bodies(space, evaluations=2, file=together, seed=2)
-    assert other[0]["body"] != alone[0]["body"]
-    assert search_bodies(space, evaluations=6, file=together, seed=1, jobs=2) == alone
+    other = search_bodies(space, evaluations=1, file=together, seed=2)
+    assert other[0].body != alone[0].body
+    assert search_bodies(space, evaluations=3, file=together, seed=1, jobs=2) == alone
     assert read_evaluations(together) == other + alone
-
-
-def bowl(bodies, initial, amplitudes, noise_seeds):
-    """Scores that know where they are lowest: light planes, much drag."""
-    assert amplitudes == {"quadratic": 60.0}
-    return [
-        {
-            "score": math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
-            "outcomes": None,
-            "ratios": dict.fromkeys(TASKS, 1.0),
-            "failure": None,
-        }
-        for body in bodies
-    ]
 
 
 def test_a_search_learns_from_its_scores_and_begins_again_when_it_has(tmp_path, monkeypatch):
@@ -275,11 +284,11 @@ def test_a_search_learns_from_its_scores_and_begins_again_when_it_has(tmp_path, 
         amplitudes={"quadratic": 60.0},
         file=tmp_path / "evaluations.jsonl",
     )
-    scores = np.array([each["score"] for each in found])
-    assert [each["index"] for each in found] == list(range(3_000))
+    scores = np.array([each.score for each in found])
+    assert [each.index for each in found] == list(range(3_000))
     assert scores[:POPULATION].min() > 1e-2
     assert scores.min() < 1e-8
-    best = found[int(scores.argmin())]["body"]
+    best = found[int(scores.argmin())].body
     assert best["plane_mass"] == pytest.approx(1e-3, rel=1e-3)
     assert best["area_scale"] == pytest.approx(20, rel=1e-3)
     # After the lowest score there are wide generations again.
@@ -289,22 +298,24 @@ def test_a_search_learns_from_its_scores_and_begins_again_when_it_has(tmp_path, 
 @pytest.mark.parametrize("text", ["not JSON\n", "[1]\n", '{"index": 0, "score": 1}\n'])
 def test_a_file_of_something_else_is_refused(tmp_path, text):
     file = tmp_path / "evaluations.jsonl"
-    fields = dict.fromkeys(("search", "index", "body", "score", "outcomes", "ratios", "failure"))
-    file.write_text(f"{json.dumps(fields)}\n{text}", encoding="utf-8")
+    known = dict.fromkeys(field.name for field in dataclasses.fields(Evaluation))
+    file.write_text(f"{json.dumps(known)}\n{text}", encoding="utf-8")
     with pytest.raises(ValueError, match=r"evaluations.jsonl, line 2: not an evaluation"):
         search_bodies(spaces(), evaluations=1, file=file)
     assert file.read_text(encoding="utf-8").endswith(text)
 
 
-def test_a_changed_file_is_noticed(tmp_path):
+def test_a_changed_file_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr("octoarm_agents.calibration.search.evaluate_bodies", bowl)
     file = tmp_path / "evaluations.jsonl"
-    search_bodies(spaces(), evaluations=1, file=file)
+    settings = {"evaluations": 1, "file": file, "amplitudes": {"quadratic": 60.0}}
+    search_bodies(spaces(), **settings)
     changed = read_evaluations(file)
-    changed[0]["body"]["area_scale"] += 1e-3
+    changed[0].body["area_scale"] += 1e-3
     file.unlink()
     append_evaluations(file, changed)
     with pytest.raises(ValueError, match="the file has been changed"):
-        search_bodies(spaces(), evaluations=1, file=file)
+        search_bodies(spaces(), **settings)
 
 
 @pytest.mark.parametrize("setting", [{"evaluations": 0}, {"seed": -1}, {"jobs": 0}], ids=str)
@@ -335,7 +346,7 @@ def test_a_body_is_measured_again_from_several_starts():
 def test_calibrate_body(octoarm, tmp_path):
     arm = tmp_path / "arm.json"
     BODY.to_json(arm)
-    command = ["calibrate", "body", "--arm", arm, "--evaluations", 3, "--trials", 2]
+    command = ["calibrate", "body", "--arm", arm, "--evaluations", 2, "--trials", 2]
     command += ["--noise-seeds", 0, "--amplitudes", "lissajous=5", "--seed", 4, "--lift-sign"]
     out = tmp_path / "out"
     run = octoarm(*command, "both", "--jobs", 1, "--out", out)
@@ -343,15 +354,15 @@ def test_calibrate_body(octoarm, tmp_path):
     assert "measured again" in run.stdout
     content = read(out / "calibration.json")
     tried = read_evaluations(out / "evaluations.jsonl")
-    assert len(tried) == 6
-    assert {each["body"]["lift_scale"] for each in tried} == {1, -1}
-    best = min(tried, key=lambda each: each["score"])
-    assert content["best"] == best
-    assert content["body"] == json.loads(BODY.replace(**best["body"]).to_json())
-    assert ArmParameters.from_json(out / "body.json") == BODY.replace(**best["body"])
+    assert len(tried) == 4
+    assert {each.body["lift_scale"] for each in tried} == {1, -1}
+    best = min(tried, key=lambda each: each.score)
+    assert content["best"] == dataclasses.asdict(best)
+    assert content["body"] == json.loads(BODY.replace(**best.body).to_json())
+    assert ArmParameters.from_json(out / "body.json") == BODY.replace(**best.body)
     assert content["measured_again"]["initial_steps"] == [0, 1000]
     assert [space["lift_scale"] for space in content["spaces"]] == [1, -1]
-    assert min(space["best_score"] for space in content["spaces"]) == best["score"]
+    assert min(space["best_score"] for space in content["spaces"]) == best.score
     assert content["settings"]["amplitudes_degrees"] == {"lissajous": 5}
     assert content["settings"]["seed"] == 4
     assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
@@ -360,8 +371,8 @@ def test_calibrate_body(octoarm, tmp_path):
     run = octoarm(*command, "-1", "--tilt", "--jobs", 1, "--out", tmp_path / "tilted")
     assert run.exit_code == 0, run.output
     tilted = read_evaluations(tmp_path / "tilted" / "evaluations.jsonl")
-    assert len(tilted) == 3
-    assert all(each["body"]["gravity"] != [0, 0, 9.81] for each in tilted)
+    assert len(tilted) == 2
+    assert all(each.body["gravity"] != [0, 0, 9.81] for each in tilted)
     before = (out / "evaluations.jsonl").read_bytes()
     assert octoarm(*command, "-1", "--jobs", 1, "--out", out).exit_code == 0
     assert (out / "evaluations.jsonl").read_bytes() == before
@@ -422,11 +433,11 @@ def test_a_moved_body_is_measured():
     assert refused["task1"] is refused["largest_amplitudes"] is None
 
 
-def test_calibrate_sensitivity(octoarm, tmp_path, monkeypatch):
+def test_analyse_sensitivity(octoarm, tmp_path, monkeypatch):
     expected = [changes_of(ArmParameters())[index] for index in (0, 3, -1)]
     module = "octoarm_agents.calibration.sensitivity"
     monkeypatch.setattr(f"{module}.changes_of", lambda base: expected)
-    command = ["calibrate", "sensitivity", "--trials", 1, "--ranges", "360,5", "--jobs", 1]
+    command = ["analyse", "sensitivity", "--trials", 1, "--ranges", "360,5", "--jobs", 1]
     command[2:2] = ["--noise-seeds", 0]
     run = octoarm(*command, "--out", tmp_path)
     assert run.exit_code == 0, run.output
@@ -451,7 +462,7 @@ def test_calibrate_sensitivity(octoarm, tmp_path, monkeypatch):
 
     run = octoarm(*command[:-4], "--ranges", "5,-1", "--out", tmp_path)
     assert run.exit_code == 2
-    assert "'-1': expected numbers of degrees above 0" in run.stderr
+    assert "amplitudes = [5.0, -1.0]: expected 0 to 360 degrees" in run.stderr
 
 
 def test_calibrate_cycle(octoarm, tmp_path):

@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.analysis.plain import plain
+
 __all__ = ["EchoState", "fit_decay"]
 
 Float = NDArray[np.float64]
@@ -26,8 +28,8 @@ class EchoState:
 
     Attributes:
         distances: (samples,), the first before any input.
-        interval: between two samples [s].
-        decay_time: time in which the distance falls by the factor e, from the fit [s]; None if it
+        interval_seconds: between two samples.
+        decay_time_seconds: in which the distance falls by the factor e, from the fit; None if it
             does not fall. A mean over the whole fall: fast modes go first, and what is left goes at
             the rate of the largest Lyapunov exponent.
         fitted_samples: samples that the fit used, the first ones.
@@ -36,20 +38,15 @@ class EchoState:
     """
 
     distances: Float
-    interval: float
-    decay_time: float | None
+    interval_seconds: float
+    decay_time_seconds: float | None
     fitted_samples: int
     verdict: Literal["forgotten", "fading", "kept"]
 
     def to_dict(self) -> dict[str, Any]:
-        """All as plain numbers for a JSON file; units in the keys."""
-        return {
-            "verdict": self.verdict,
-            "decay_time_seconds": self.decay_time,
-            "fitted_samples": self.fitted_samples,
-            "final_over_first_distance": float(self.distances[-1] / self.distances[0]),
-            "interval_seconds": self.interval,
-            "distances": self.distances.tolist(),
+        """All as plain numbers for a JSON file."""
+        return plain(self) | {
+            "final_over_first_distance": float(self.distances[-1] / self.distances[0])
         }
 
 
@@ -78,10 +75,4 @@ def fit_decay(distances: Float, interval: float) -> EchoState:
         verdict = "forgotten"
     elif decay is not None and decay <= interval * (len(distances) - 1):
         verdict = "fading"
-    return EchoState(
-        distances=distances,
-        interval=interval,
-        decay_time=decay,
-        fitted_samples=count,
-        verdict=verdict,
-    )
+    return EchoState(distances, interval, decay, count, verdict)

@@ -5,27 +5,28 @@ from __future__ import annotations
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from octoarm_agents.analysis.measures import Measures
 from octoarm_agents.analysis.survey import ArmSurvey
+from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, new_figure, write_letters
 
-__all__ = ["BLUE", "GREEN", "GREY", "VERMILLION", "degree_colours", "draw_analysis", "finish"]
-
-# Okabe and Ito's colours, told apart by all common kinds of colour vision.
-BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#767676"
+__all__ = ["analysis_figure", "degree_colours", "draw_analysis"]
 
 _IMPOSSIBLE = "\nimpossible: see the warnings"
 
 
+def analysis_figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches, with room between its panels."""
+    figure = new_figure(width, height)
+    figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
+    return figure
+
+
 def draw_analysis(measures: Measures, survey: ArmSurvey | None = None) -> Figure:
     """Draw the measures of a recording; of a whole survey also ranks and the echo-state test."""
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
-    figure = Figure(figsize=(9.6, 7.2), dpi=150, layout=layout)
-    FigureCanvasAgg(figure)
+    figure = analysis_figure(9.6, 7.2)
     memory, processing, dimension, last = figure.subplots(2, 2).ravel()
     _draw_memory(memory, measures)
     _draw_processing(processing, measures)
@@ -34,18 +35,8 @@ def draw_analysis(measures: Measures, survey: ArmSurvey | None = None) -> Figure
         _draw_degrees(last, measures)
     else:
         _draw_echo(last, survey)
-    finish(figure)
+    write_letters(figure.axes)
     return figure
-
-
-def finish(figure: Figure) -> None:
-    """Letters and like sizes for all panels."""
-    for letter, axes in zip("abcdefgh", figure.axes, strict=False):
-        axes.set_title(f"({letter})", loc="left", fontsize=10, fontweight="bold")
-        axes.tick_params(labelsize=8)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.label.set_fontsize(9)
-        axes.spines[["top", "right"]].set_visible(False)
 
 
 def degree_colours(count: int) -> list[tuple[float, float, float, float]]:
@@ -75,20 +66,16 @@ def _draw_memory(axes: Axes, measures: Measures) -> None:
             label=f"all rows, without bias{several}",
         )
     axes.set(xlim=(-0.5, measures.settings.max_delay + 0.5), ylim=(-0.02, 1.05))
-    axes.set_xlabel(f"delay k ({measures.sampling.unit})")
+    axes.set_xlabel(f"delay k ({measures.recording.sampling.unit})")
     axes.set_ylabel("memory capacity $MC_k$")
+    title = f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}"
     names = {"memory capacity", "memory capacity on held-out rows"}
-    impossible = names & measures.impossible.keys()
-    _legend(
-        axes,
-        f"MC = {memory.total:.2f}, held out {memory.held_out_total:.2f}"
-        f"{_IMPOSSIBLE if impossible else ''}",
-    )
+    _legend(axes, title + _IMPOSSIBLE * bool(names & measures.impossible.keys()))
 
 
 def _draw_processing(axes: Axes, measures: Measures) -> None:
     processing = measures.processing
-    table = processing.by_degree_and_delay
+    table = processing.by_degree_and_oldest_delay
     delays = np.arange(table.shape[1])
     base = np.zeros(len(delays))
     for degree, (row, colour) in enumerate(
@@ -100,20 +87,17 @@ def _draw_processing(axes: Axes, measures: Measures) -> None:
             bottom=base,
             width=0.9,
             color=colour,
-            label=f"degree {degree}: {row.sum():.2f} (delays to {processing.delays[degree - 1]})",
+            label=f"degree {degree}: {row.sum():.2f} "
+            f"(delays to {processing.largest_delays_by_degree[degree - 1]})",
         )
         base += row
     # A false alarm at a large delay shall not press all else to the side.
     used = np.flatnonzero(base > 0.01 * base.max())
     axes.set_xlim(-0.6, (used[-1] if len(used) else 0) + 2.5)
-    axes.set_xlabel(f"oldest input in the function ({measures.sampling.unit})")
+    axes.set_xlabel(f"oldest input in the function ({measures.recording.sampling.unit})")
     axes.set_ylabel("information processing capacity")
-    impossible = "information processing capacity" in measures.impossible
-    _legend(
-        axes,
-        f"sum = {processing.total:.2f} of at most {processing.expected_maximum:.2f}"
-        f"{_IMPOSSIBLE if impossible else ''}",
-    )
+    title = f"sum = {processing.total:.2f} of at most {processing.largest_possible_total:.2f}"
+    _legend(axes, title + _IMPOSSIBLE * ("information processing capacity" in measures.impossible))
 
 
 def _draw_dimension(axes: Axes, measures: Measures, survey: ArmSurvey | None) -> None:
@@ -122,11 +106,10 @@ def _draw_dimension(axes: Axes, measures: Measures, survey: ArmSurvey | None) ->
     if survey is not None:
         ranks = survey.ranks
         first = ranks.kernel_singular_values[0]
-        for name, rank, singular, colour in (
-            ("different", ranks.kernel, ranks.kernel_singular_values, GREEN),
-            ("similar", ranks.generalisation, ranks.generalisation_singular_values, VERMILLION),
-        ):
-            _singular_values(axes, singular / first, colour, f"{name} streams ({rank})")
+        label = f"different streams ({ranks.kernel_rank})"
+        _singular_values(axes, ranks.kernel_singular_values / first, GREEN, label)
+        label = f"similar streams ({ranks.generalisation_rank})"
+        _singular_values(axes, ranks.generalisation_singular_values / first, VERMILLION, label)
     axes.axhline(tolerance, color=GREY, linewidth=0.9, linestyle=":")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-9))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -161,22 +144,21 @@ def _draw_degrees(axes: Axes, measures: Measures) -> None:
 
 def _draw_echo(axes: Axes, survey: ArmSurvey) -> None:
     echo, lyapunov = survey.echo, survey.lyapunov
-    time = echo.interval * np.arange(len(echo.distances))
+    time = echo.interval_seconds * np.arange(len(echo.distances))
     # Beyond the fit there is only rounding.
     end = min(int(1.2 * echo.fitted_samples) + 10, len(time))
     shown = (echo.distances > 0) & (time < time[end - 1])
     axes.semilogy(time[shown], echo.distances[shown], color=BLUE, linewidth=1.3, label="distance")
-    if echo.decay_time:
+    if echo.decay_time_seconds:
         fitted = time[: echo.fitted_samples]
         logs = np.log(echo.distances[: echo.fitted_samples])
-        line = np.exp(logs.mean() - (fitted - fitted.mean()) / echo.decay_time)
-        label = f"fit, decay time {echo.decay_time:.2f} s"
+        line = np.exp(logs.mean() - (fitted - fitted.mean()) / echo.decay_time_seconds)
+        label = f"fit, decay time {echo.decay_time_seconds:.2f} s"
         axes.semilogy(fitted, line, "--", color=VERMILLION, linewidth=1.2, label=label)
     axes.set_xlim(0, time[end - 1])
     axes.set_xlabel("time since the common input began (s)")
     axes.set_ylabel("distance between two starts\n(natural sizes)")
-    error = lyapunov.standard_error
-    _legend(axes, f"Lyapunov exponent {lyapunov.value:.3f} ± {error:.3f} /s")
+    _legend(axes, f"Lyapunov exponent {lyapunov} /s")
 
 
 def _legend(axes: Axes, title: str) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import Capacities, StateBasis
 from octoarm_agents.analysis.memory_capacity import delayed_inputs
+from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.polynomials import (
     Family,
     InputDistribution,
@@ -42,41 +43,41 @@ class InformationProcessingCapacity:
     """Capacities for all functions tried, summed by their degree and by the oldest input in them.
 
     Attributes:
-        by_degree_and_delay: (D, K + 1); row d - 1 is total degree d, column k the functions whose
-            oldest input is k rows old. Corrected for bias, insignificant capacities left out.
+        by_degree_and_oldest_delay: (D, K + 1); row d - 1 is total degree d, column k the functions
+            whose oldest input is k rows old. Corrected for bias, insignificant ones left out.
         targets_by_degree: (D,), functions tried.
         significant_by_degree: (D,), functions whose capacity counts.
         unselected_by_degree: (D,), sums over all functions tried, significant or not: on average
             right, but uncertain; what the significant ones miss is spread over many functions.
-        thresholds: (D,), multiple of its bias that an uncorrected capacity must exceed to count.
-        delays: (D,), the oldest input tried.
+        thresholds_by_degree: (D,), multiple of its bias that an uncorrected capacity must exceed.
+        largest_delays_by_degree: (D,), the oldest input tried [rows].
         rank: of the states; no sum of capacities can exceed it.
-        expected_maximum: the largest possible sum with the given sensor noise, at most `rank`.
-        distributions: of each input.
-        surrogates: shuffled inputs behind the thresholds; 0 means chi-square quantiles.
+        largest_possible_total: with the given sensor noise, at most `rank`.
+        inputs: distribution of each.
+        thresholds_from: "chi-square", or how many shuffled inputs.
     """
 
-    by_degree_and_delay: Float
+    by_degree_and_oldest_delay: Float
     targets_by_degree: tuple[int, ...]
     significant_by_degree: tuple[int, ...]
     unselected_by_degree: tuple[float, ...]
-    thresholds: tuple[float, ...]
-    delays: tuple[int, ...]
+    thresholds_by_degree: tuple[float, ...]
+    largest_delays_by_degree: tuple[int, ...]
     rank: int
-    expected_maximum: float
-    distributions: tuple[InputDistribution, ...]
-    surrogates: int
+    largest_possible_total: float
+    inputs: tuple[InputDistribution, ...]
+    thresholds_from: str
 
     @property
     def by_degree(self) -> Float:
         """Sums for the total degrees 1 … D, (D,)."""
-        sums: Float = self.by_degree_and_delay.sum(axis=1)
+        sums: Float = self.by_degree_and_oldest_delay.sum(axis=1)
         return sums
 
     @property
     def total(self) -> float:
         """The sum of all capacities."""
-        return float(self.by_degree_and_delay.sum())
+        return float(self.by_degree_and_oldest_delay.sum())
 
     @property
     def linear(self) -> float:
@@ -90,23 +91,12 @@ class InformationProcessingCapacity:
 
     def to_dict(self) -> dict[str, Any]:
         """All as plain numbers for a JSON file."""
-        return {
+        return plain(self) | {
             "total": self.total,
             "linear": self.linear,
             "nonlinear": self.nonlinear,
             "by_degree": self.by_degree.tolist(),
-            "unselected_by_degree": list(self.unselected_by_degree),
-            "by_degree_and_oldest_delay": self.by_degree_and_delay.tolist(),
-            "largest_delays_by_degree": list(self.delays),
-            "targets_by_degree": list(self.targets_by_degree),
-            "significant_by_degree": list(self.significant_by_degree),
-            "thresholds_in_multiples_of_bias_by_degree": list(self.thresholds),
-            "thresholds_from": f"{self.surrogates} shuffled inputs"
-            if self.surrogates
-            else "chi-square",
-            "rank": self.rank,
-            "largest_possible_total": self.expected_maximum,
-            "inputs": [distribution.to_dict() for distribution in self.distributions],
+            "inputs": [each.to_dict() for each in self.inputs],
         }
 
 
@@ -184,16 +174,16 @@ def information_processing_capacity(
         np.add.at(row, found.oldest, found.capacities.significant(threshold))
         significant.append(int((found.capacities.multiples > threshold).sum()))
     return InformationProcessingCapacity(
-        by_degree_and_delay=table,
+        by_degree_and_oldest_delay=table,
         targets_by_degree=tuple(len(found.oldest) for found in measured),
         significant_by_degree=tuple(significant),
         unselected_by_degree=tuple(float(found.capacities.signed.sum()) for found in measured),
-        thresholds=tuple(thresholds),
-        delays=delays,
+        thresholds_by_degree=tuple(thresholds),
+        largest_delays_by_degree=delays,
         rank=basis.rank,
-        expected_maximum=float(basis.gains.sum()),
-        distributions=distributions,
-        surrogates=surrogates,
+        largest_possible_total=float(basis.gains.sum()),
+        inputs=distributions,
+        thresholds_from=f"{surrogates} shuffled inputs" if surrogates else "chi-square",
     )
 
 
@@ -215,7 +205,7 @@ def _measure(
     table = _polynomial_table(inputs, len(delays), max(delays), distributions)
     count = count_targets(delays, inputs.shape[1])
     size = max(1, _BLOCK_NUMBERS // basis.samples)
-    highest = [distribution.values - 1 for distribution in distributions]
+    highest = [distribution.different_values - 1 for distribution in distributions]
     measured = []
     for degree, delay in enumerate(delays, start=1):
         blocks = [Capacities(*(np.empty(0) for _ in Capacities._fields))]

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
+from octoarm_agents.reservoir.benettin import stretch_factors
 
 __all__ = ["LyapunovExponent", "largest_lyapunov_exponent"]
 
@@ -27,22 +27,17 @@ class LyapunovExponent:
     """A rate of growth with its uncertainty.
 
     Attributes:
-        value: mean over the blocks [1/s, or 1/step if the interval is 1].
-        standard_error: of that mean, from the scatter of the blocks.
-        blocks: (blocks,), mean rate of growth in equal stretches of time.
+        exponent_per_second: mean over the blocks [1/s, or 1/step if the interval is 1].
+        standard_error_per_second: of that mean, from the scatter of the blocks.
+        blocks_per_second: (blocks,), mean rate of growth in equal stretches of time.
     """
 
-    value: float
-    standard_error: float
-    blocks: Float
+    exponent_per_second: float
+    standard_error_per_second: float
+    blocks_per_second: Float
 
-    def to_dict(self) -> dict[str, Any]:
-        """All as plain numbers for a JSON file; units in the keys."""
-        return {
-            "exponent_per_second": self.value,
-            "standard_error_per_second": self.standard_error,
-            "blocks_per_second": self.blocks.tolist(),
-        }
+    def __str__(self) -> str:
+        return f"{self.exponent_per_second:.3f} ± {self.standard_error_per_second:.3f}"
 
 
 def largest_lyapunov_exponent(
@@ -58,7 +53,7 @@ def largest_lyapunov_exponent(
 ) -> LyapunovExponent:
     """Follow two nearby trajectories; bring the second back to a small distance after each step.
 
-    Benettin et al. (1980). Distances are Euclidean, so components should be of like magnitude.
+    Distances are Euclidean, so components should be of like magnitude.
 
     Args:
         step: gives the state after step number k = 0, 1, … from the state before it; must not
@@ -80,22 +75,27 @@ def largest_lyapunov_exponent(
     steps, transient = whole_number("steps", steps, blocks), whole_number("transient", transient)
     if not (interval > 0 and size > 0):
         raise ValueError(f"interval = {interval}, size = {size}: expected positive numbers")
-    direction = np.random.default_rng(seed).standard_normal(len(state))
-    direction /= np.linalg.norm(direction)
-    counted = steps - steps % blocks
-    growth = np.empty(transient + counted)
-    for k in range(len(growth)):
-        neighbour = step(state + size * direction, k)
+    direction = np.random.default_rng(seed).standard_normal((len(state), 1))
+
+    def carry(deviations: Float, k: int) -> Float:
+        nonlocal state
+        neighbour = step(state + deviations[:, 0], k)
         state = step(state, k)
-        difference = neighbour - state
-        distance = float(np.linalg.norm(difference))
-        if not distance > 0:
+        difference: Float = neighbour - state
+        if not np.linalg.norm(difference) > 0:
             raise ValueError(
                 f"the trajectories met within step {k + 1}, size = {size}: "
                 "expected a larger size or shorter steps"
             )
-        growth[k] = math.log(distance / size)
-        direction = difference / distance
-    means = growth[transient:].reshape(blocks, -1).mean(axis=1) / interval
+        return difference[:, np.newaxis]
+
+    factors = stretch_factors(
+        carry,
+        direction / np.linalg.norm(direction),
+        steps - steps % blocks,
+        transient=transient,
+        size=size,
+    )
+    means = np.log(factors).reshape(blocks, -1).mean(axis=1) / interval
     error = float(means.std(ddof=1)) / math.sqrt(blocks)
     return LyapunovExponent(float(means.mean()), error, means)

@@ -17,7 +17,7 @@ from octoarm_agents.analysis.information_processing_capacity import (
 from octoarm_agents.analysis.memory_capacity import MemoryCapacity, memory_capacity
 from octoarm_agents.analysis.polynomials import Family, correlated_inputs
 from octoarm_agents.analysis.rank import numerical_rank, participation_ratio
-from octoarm_agents.analysis.states import Recording, Sampling
+from octoarm_agents.analysis.states import Recording
 
 __all__ = ["Advance", "MeasureSettings", "Measures", "measure"]
 
@@ -67,40 +67,20 @@ class Measures:
 
     Attributes:
         settings: how it was measured.
-        rows: of the recording, washout included.
-        sampling: what a row stands for.
-        state_names: of each state.
-        input_names: of each input.
-        constant_states: those that never change.
+        recording: what was measured, washout included.
         singular_values: of the centred states after the washout, descending.
         memory: linear memory capacity.
         processing: information processing capacity.
         correlated: the two inputs with the largest correlation, if it is no chance: their numbers,
             counted from 0, and the correlation.
-        notes: of the recording.
     """
 
     settings: MeasureSettings
-    rows: int
-    sampling: Sampling
-    state_names: tuple[str, ...]
-    input_names: tuple[str, ...]
-    constant_states: int
+    recording: Recording
     singular_values: Float
     memory: MemoryCapacity
     processing: InformationProcessingCapacity
     correlated: tuple[int, int, float] | None
-    notes: tuple[str, ...]
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs."""
-        return len(self.input_names)
-
-    @property
-    def states(self) -> int:
-        """Number of states."""
-        return len(self.state_names)
 
     @property
     def sums(self) -> dict[str, float]:
@@ -122,7 +102,7 @@ class Measures:
         number of independent states, with sensor noise to less.
         """
         # As the numbers are printed.
-        largest = self.processing.expected_maximum + 5e-4
+        largest = self.processing.largest_possible_total + 5e-4
         return {name: value for name, value in self.sums.items() if value > largest}
 
     @property
@@ -138,8 +118,8 @@ class Measures:
     @property
     def warnings(self) -> list[str]:
         """What the reader of the figures should know."""
-        notes = list(self.notes)
-        for column, distribution in enumerate(self.processing.distributions, start=1):
+        notes = list(self.recording.notes)
+        for column, distribution in enumerate(self.processing.inputs, start=1):
             if not distribution.independent:
                 notes.append(
                     f"Input {column} is not independent in time: its autocorrelation at delay "
@@ -158,17 +138,19 @@ class Measures:
             notes.append(self._why_impossible())
         if not self.memory.faded:
             notes.append(
-                f"The memory does not end within {self.settings.max_delay} {self.sampling.rows}: "
+                f"The memory does not end within {self.settings.max_delay} "
+                f"{self.recording.sampling.rows}: "
                 "the memory capacity is a lower bound."
             )
-        if self.constant_states:
-            notes.append(f"{self.constant_states} of {self.states} states never change.")
+        constant, states = self.recording.constant_states, len(self.recording.state_names)
+        if constant:
+            notes.append(f"{constant} of {states} states never change.")
         return notes
 
     def _why_impossible(self) -> str:
         sums = "; ".join(f"{name} {value:.3f}" for name, value in self.impossible.items())
         independent = self.correlated is None and all(
-            distribution.independent for distribution in self.processing.distributions
+            distribution.independent for distribution in self.processing.inputs
         )
         reason = (
             "No correlation of the input is seen, so that this is the sampling error of too few "
@@ -179,22 +161,24 @@ class Measures:
         )
         return (
             f"Impossible: {sums}. For an independent input no sum exceeds the rank of the "
-            f"{self.states} states, here {self.processing.expected_maximum:.3f}"
+            f"{len(self.recording.state_names)} states, here "
+            f"{self.processing.largest_possible_total:.3f}"
             f"{' with this noise' if self.settings.noise else ''} (Dambre et al. 2012). {reason}"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """All as plain numbers for a JSON file."""
+        recording = self.recording
         return {
-            "settings": asdict(self.settings) | {"delays": list(self.settings.delays)},
-            "rows": self.rows,
-            "rows_of_the_log_a_row": self.sampling.hold,
-            "interval": self.sampling.interval,
-            "state_names": list(self.state_names),
-            "input_names": list(self.input_names),
-            "inputs": self.inputs,
-            "states": self.states,
-            "constant_states": self.constant_states,
+            "settings": asdict(self.settings),
+            "rows": len(recording),
+            "rows_of_the_log_a_row": recording.sampling.hold,
+            "interval": recording.sampling.interval,
+            "state_names": recording.state_names,
+            "input_names": recording.input_names,
+            "inputs": len(recording.input_names),
+            "states": len(recording.state_names),
+            "constant_states": recording.constant_states,
             "memory_capacity": self.memory.to_dict(),
             "information_processing_capacity": self.processing.to_dict(),
             "rank": {
@@ -216,38 +200,25 @@ def measure(
         ValueError: a setting out of its range, or too few rows.
     """
     report = advance or (lambda stage, share: None)
-    recording.check_length(settings.washout, settings.oldest)
+    common = settings.washout, settings.noise, settings.significance
     report("memory capacity", 0.0)
-    memory = memory_capacity(
-        recording,
-        settings.max_delay,
-        settings.washout,
-        settings.noise,
-        settings.significance,
-        settings.training_fraction,
-    )
+    memory = memory_capacity(recording, settings.max_delay, *common, settings.training_fraction)
     report("memory capacity", 0.1)
     processing = information_processing_capacity(
         recording,
         settings.delays,
-        settings.washout,
-        settings.noise,
-        settings.significance,
+        *common,
         settings.surrogates,
         settings.family,
         settings.seed,
         lambda share: report("processing capacity", 0.9 * share),
     )
+    states, inputs = recording.states[settings.washout :], recording.inputs[settings.washout :]
     return Measures(
-        settings=settings,
-        rows=len(recording),
-        sampling=recording.sampling,
-        state_names=recording.state_names,
-        input_names=recording.input_names,
-        constant_states=recording.constant_states,
-        singular_values=StateBasis(recording.states[settings.washout :]).singular_values,
-        memory=memory,
-        processing=processing,
-        correlated=correlated_inputs(recording.inputs[settings.washout :], settings.oldest),
-        notes=recording.notes,
+        settings,
+        recording,
+        StateBasis(states).singular_values,
+        memory,
+        processing,
+        correlated_inputs(inputs, settings.oldest),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import StateBasis
+from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.states import Recording
 from octoarm_agents.common.whole import whole_number
 
@@ -61,14 +62,7 @@ class MemoryCapacity:
             "total": self.total,
             "held_out_total": self.held_out_total,
             "faded_within_largest_delay": self.faded,
-            "capacities_by_input_and_delay_from_0": self.capacities.tolist(),
-            "uncorrected": self.uncorrected.tolist(),
-            "threshold_in_multiples_of_bias": self.threshold,
-            "held_out_squared_correlations": self.held_out.tolist(),
-            "held_out_threshold": self.held_out_threshold,
-            "training_rows": list(self.training_rows),
-            "test_rows": list(self.test_rows),
-        }
+        } | plain(self)
 
 
 def delayed_inputs(inputs: Float, first: int, delay: int) -> Float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -37,7 +37,7 @@ class InputDistribution:
         normal_probability: of the test against the normal distribution of the same mean and
             standard deviation. Both distributions are fitted, so the tests reject a little less
             often than their probability says.
-        values: number of different values; polynomials of this degree or higher do not exist.
+        different_values: how many; polynomials of this degree or higher do not exist.
         largest_autocorrelation: largest absolute autocorrelation, all delays asked for.
         autocorrelation_delay: the delay of it.
         autocorrelation_limit: what it exceeds with probability 0.001 if the input is independent.
@@ -46,7 +46,7 @@ class InputDistribution:
     family: Family
     uniform_probability: float
     normal_probability: float
-    values: int
+    different_values: int
     largest_autocorrelation: float
     autocorrelation_delay: int
     autocorrelation_limit: float
@@ -58,16 +58,7 @@ class InputDistribution:
 
     def to_dict(self) -> dict[str, Any]:
         """All as plain numbers for a JSON file."""
-        return {
-            "family": self.family,
-            "uniform_probability": self.uniform_probability,
-            "normal_probability": self.normal_probability,
-            "different_values": self.values,
-            "largest_autocorrelation": self.largest_autocorrelation,
-            "autocorrelation_delay": self.autocorrelation_delay,
-            "autocorrelation_limit": self.autocorrelation_limit,
-            "independent": self.independent,
-        }
+        return asdict(self) | {"independent": self.independent}
 
 
 def describe_input(
@@ -103,7 +94,7 @@ def describe_input(
         family=family,
         uniform_probability=uniform,
         normal_probability=normal,
-        values=len(np.unique(values)),
+        different_values=len(np.unique(values)),
         largest_autocorrelation=float(correlations.max()),
         autocorrelation_delay=int(delays[correlations.argmax()]),
         autocorrelation_limit=limit,

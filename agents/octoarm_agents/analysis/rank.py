@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,29 +38,19 @@ class SeparationRanks:
     (low generalisation rank).
 
     Attributes:
-        kernel: rank after streams that have nothing in common.
-        generalisation: rank after streams that differ a little.
+        kernel_rank: after streams that have nothing in common.
+        generalisation_rank: after streams that differ a little.
         kernel_singular_values: of the centred states after the different streams, descending.
         generalisation_singular_values: the same after the similar streams.
         tolerance: a singular value counts above this share of the largest one of the *different*
             streams, so that both ranks have the same resolution.
     """
 
-    kernel: int
-    generalisation: int
+    kernel_rank: int
+    generalisation_rank: int
     kernel_singular_values: Float
     generalisation_singular_values: Float
     tolerance: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """All as plain numbers for a JSON file."""
-        return {
-            "kernel_rank": self.kernel,
-            "generalisation_rank": self.generalisation,
-            "tolerance": self.tolerance,
-            "kernel_singular_values": self.kernel_singular_values.tolist(),
-            "generalisation_singular_values": self.generalisation_singular_values.tolist(),
-        }
 
 
 def separation_ranks(different: Float, similar: Float, tolerance: float) -> SeparationRanks:
@@ -84,10 +73,9 @@ def separation_ranks(different: Float, similar: Float, tolerance: float) -> Sepa
         np.linalg.svd(states - states.mean(axis=0), compute_uv=False)
         for states in (different, similar)
     )
-    rank = numerical_rank(kernel, tolerance)
     return SeparationRanks(
-        kernel=rank,
-        generalisation=int((generalisation > tolerance * kernel[0]).sum()),
+        kernel_rank=numerical_rank(kernel, tolerance),
+        generalisation_rank=int((generalisation > tolerance * kernel[0]).sum()),
         kernel_singular_values=kernel,
         generalisation_singular_values=generalisation,
         tolerance=tolerance,

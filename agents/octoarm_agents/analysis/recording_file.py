@@ -92,7 +92,7 @@ def read_recording(
         state_names=log.state_names,
         input_names=log.input_names,
         sampling=Sampling(hold or 1, interval),
-        notes=[*notes, *held],
+        notes=(*notes, *held),
     )
 
 

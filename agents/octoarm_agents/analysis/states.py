@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,7 +47,7 @@ class Sampling:
         return f"{self.rows} of {', '.join(parts)}" if parts else self.rows
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """States and input of a reservoir, sampled together; row t of the states has seen input t.
 
@@ -66,50 +66,29 @@ class Recording:
 
     states: Float
     inputs: Float
-    state_names: tuple[str, ...]
-    input_names: tuple[str, ...]
-    sampling: Sampling
-    notes: tuple[str, ...]
+    _: KW_ONLY
+    state_names: Sequence[str] = ()
+    input_names: Sequence[str] = ()
+    sampling: Sampling = Sampling()
+    notes: tuple[str, ...] = ()
 
-    def __init__(
-        self,
-        states: ArrayLike,
-        inputs: ArrayLike,
-        *,
-        state_names: Sequence[str] | None = None,
-        input_names: Sequence[str] | None = None,
-        sampling: Sampling = Sampling(),
-        notes: Sequence[str] = (),
-    ) -> None:
-        given_states, given_inputs = as_table(states, "states"), as_table(inputs, "input")
-        check_same_length(given_states, given_inputs)
-        if not len(given_states):
+    def __post_init__(self) -> None:
+        for what, field in (("states", "state"), ("input", "input")):
+            table = as_table(getattr(self, f"{field}s"), what)
+            given = getattr(self, f"{field}_names")
+            names = tuple(given or map(str, range(1, table.shape[1] + 1)))
+            if len(names) != table.shape[1]:
+                raise ValueError(f"{what}: {len(names)} names for {table.shape[1]} columns")
+            object.__setattr__(self, f"{field}s", table)
+            object.__setattr__(self, f"{field}_names", names)
+        check_same_length(self.states, self.inputs)
+        if not len(self):
             raise ValueError("states and input have no rows")
-        names = []
-        for what, values, given in (
-            ("states", given_states, state_names),
-            ("input", given_inputs, input_names),
-        ):
-            count = values.shape[1]
-            names.append(tuple(given or map(str, range(1, count + 1))))
-            if len(names[-1]) != count:
-                raise ValueError(f"{what}: {len(names[-1])} names for {count} columns")
-            _check_columns(what, values, names[-1])
-        constant = np.flatnonzero(np.ptp(given_inputs, axis=0) == 0)
-        if len(constant):
-            value = given_inputs[0, constant[0]]
-            raise ValueError(
-                f"input: {name_column(names[1][constant[0]])} is constant ({value:g}): "
-                "there is nothing to remember"
-            )
-        if not np.ptp(given_states, axis=0).any():
+        _check_columns("states", self.states, self.state_names)
+        _check_columns("input", self.inputs, self.input_names)
+        self._refuse_constant_input(0)
+        if not np.ptp(self.states, axis=0).any():
             raise ValueError("states: all columns are constant")
-        object.__setattr__(self, "states", given_states)
-        object.__setattr__(self, "inputs", given_inputs)
-        object.__setattr__(self, "state_names", names[0])
-        object.__setattr__(self, "input_names", names[1])
-        object.__setattr__(self, "sampling", sampling)
-        object.__setattr__(self, "notes", tuple(notes))
 
     def __len__(self) -> int:
         return len(self.states)
@@ -125,9 +104,6 @@ class Recording:
         Raises:
             ValueError: names the needed length, or an input that is constant after the washout.
         """
-        for name, value in (("washout", washout), ("delay", delay)):
-            if value < 0:
-                raise ValueError(f"{name} = {value}: expected a number of rows, not negative")
         states = self.states.shape[1]
         samples = max(MINIMUM_SAMPLES, SAMPLES_A_STATE * states)
         needed = washout + delay + samples
@@ -137,11 +113,16 @@ class Recording:
                 f"{washout}, the largest delay of {delay}, and {samples} samples for {states} "
                 "states"
             )
+        self._refuse_constant_input(washout)
+
+    def _refuse_constant_input(self, washout: int) -> None:
         constant = np.flatnonzero(np.ptp(self.inputs[washout:], axis=0) == 0)
         if len(constant):
+            column = constant[0]
+            after = f" after the washout of {washout} {self.sampling.rows}" if washout else ""
             raise ValueError(
-                f"input: {name_column(self.input_names[constant[0]])} is constant after the "
-                f"washout of {washout} {self.sampling.rows}: there is nothing to remember"
+                f"input: {name_column(self.input_names[column])} is constant{after} "
+                f"({self.inputs[-1, column]:g}): there is nothing to remember"
             )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from octoarm_agents.analysis.drive import Drive, DrivenArm, record_arm, state_sc
 from octoarm_agents.analysis.echo_state import EchoState, fit_decay
 from octoarm_agents.analysis.lyapunov import LyapunovExponent, largest_lyapunov_exponent
 from octoarm_agents.analysis.measures import Advance, Measures, MeasureSettings, measure
+from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.rank import SeparationRanks, separation_ranks
 from octoarm_agents.common.whole import whole_fields
 from octoarm_env import ArmParameters
@@ -61,15 +62,9 @@ class SurveySettings:
 
     def to_dict(self, timestep: float) -> dict[str, Any]:
         """Those that `measures` does not hold, as plain numbers for a JSON file."""
-        return {
-            "drive": self.drive.to_dict(timestep),
-            "samples": self.samples,
-            "streams": self.streams,
-            "stream_length": self.stream_length,
-            "similarity": self.similarity,
-            "echo_length": self.echo_length,
-            "lyapunov_length": self.lyapunov_length,
-        }
+        content = asdict(self) | {"drive": self.drive.to_dict(timestep)}
+        del content["measures"]
+        return content
 
     def values(self, part: int, *shape: int) -> Float:
         """The input values of one part of the survey, independent and uniform in [-1, 1]."""
@@ -102,13 +97,13 @@ class ArmSurvey:
         return {
             "survey": self.settings.to_dict(self.parameters.timestep),
             **self.measures.to_dict(),
-            "separation": self.ranks.to_dict(),
+            "separation": plain(self.ranks),
             "echo_state": self.echo.to_dict(),
-            "lyapunov": self.lyapunov.to_dict(),
+            "lyapunov": plain(self.lyapunov),
             "body": self.parameters.to_dict(),
         }
 
-    def summary(self) -> dict[str, float | int | str | list[float] | list[str] | None]:
+    def summary(self) -> dict[str, Any]:
         """The main figures, one line of a table."""
         processing = self.measures.processing
         return {
@@ -119,11 +114,11 @@ class ArmSurvey:
             "rank": processing.rank,
             "rank_at_tolerance": self.measures.rank_at_tolerance,
             "participation_ratio": self.measures.effective_rank,
-            "kernel_rank": self.ranks.kernel,
-            "generalisation_rank": self.ranks.generalisation,
-            "lyapunov_exponent_per_second": self.lyapunov.value,
-            "lyapunov_standard_error_per_second": self.lyapunov.standard_error,
-            "echo_decay_time_seconds": self.echo.decay_time,
+            "kernel_rank": self.ranks.kernel_rank,
+            "generalisation_rank": self.ranks.generalisation_rank,
+            "lyapunov_exponent_per_second": self.lyapunov.exponent_per_second,
+            "lyapunov_standard_error_per_second": self.lyapunov.standard_error_per_second,
+            "echo_decay_time_seconds": self.echo.decay_time_seconds,
             "echo_verdict": self.echo.verdict,
             "warnings": self.measures.warnings,
         }

@@ -7,29 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from octoarm_agents.analysis.figure import (
-    BLUE,
-    GREEN,
-    GREY,
-    VERMILLION,
-    degree_colours,
-    finish,
-)
+from octoarm_agents.analysis.figure import analysis_figure, degree_colours
 from octoarm_agents.analysis.sweep import QUANTITIES, Quantity, SweepPoint
+from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, write_letters
 
 __all__ = ["draw_sweep"]
 
 
 def draw_sweep(quantity: Quantity, points: Sequence[SweepPoint]) -> Figure:
     """Draw memory, capacities, ranks, Lyapunov exponent and decay time; failures as crosses."""
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
-    figure = Figure(figsize=(11.0, 6.8), dpi=150, layout=layout)
-    FigureCanvasAgg(figure)
+    figure = analysis_figure(11.0, 6.8)
     memory, processing, ranks, lyapunov, echo, notes = figure.subplots(2, 3).ravel()
     points = sorted(points, key=lambda point: point.value)
     _draw_lines(memory, points, {"memory_capacity": ("MC", BLUE)}, "memory capacity")
@@ -51,7 +41,7 @@ def draw_sweep(quantity: Quantity, points: Sequence[SweepPoint]) -> Figure:
     )
     for axes in (memory, processing, ranks, lyapunov, echo):
         _finish_axis(axes, quantity, points)
-    finish(figure)
+    write_letters(figure.axes)
     _write_failures(notes, points)
     return figure
 

@@ -16,12 +16,13 @@ __all__ = ["measures_table", "survey_table", "sweep_table"]
 def measures_table(result: Measures) -> Table:
     """The measures of a recording."""
     memory, processing = result.memory, result.processing
-    table = _table(f"{result.rows} {result.sampling.unit}, {result.states} states")
-    for kind, columns in (("states", result.state_names), ("input", result.input_names)):
+    recording, rows = result.recording, result.recording.sampling.rows
+    states = len(recording.state_names)
+    table = _table(f"{len(recording)} {recording.sampling.unit}, {states} states")
+    for kind, columns in (("states", recording.state_names), ("input", recording.input_names)):
         if not columns[0].isdigit():
             shown = columns if len(columns) < 3 else (columns[0], "…", columns[-1])
             table.add_row(kind, escape(", ".join(shown)))
-    rows = result.sampling.rows
     first, last = memory.training_rows[0] + 1, memory.test_rows[1]
     table.add_row(f"{rows} used (counted from 1)", f"{first} to {last}")
     table.add_row(
@@ -42,7 +43,7 @@ def measures_table(result: Measures) -> Table:
     for degree, (value, delay, tried, counted) in enumerate(
         zip(
             processing.by_degree,
-            processing.delays,
+            processing.largest_delays_by_degree,
             processing.targets_by_degree,
             processing.significant_by_degree,
             strict=True,
@@ -53,12 +54,12 @@ def measures_table(result: Measures) -> Table:
         table.add_row(name, f"{value:.3f}")
     table.add_row("rank of the states, to rounding", f"{processing.rank}")
     if result.settings.noise:
-        table.add_row("largest sum with this noise", f"{processing.expected_maximum:.3f}")
+        table.add_row("largest sum with this noise", f"{processing.largest_possible_total:.3f}")
     table.add_row(
         f"rank above {result.settings.tolerance:g} of the largest", f"{result.rank_at_tolerance}"
     )
     table.add_row("participation ratio", f"{result.effective_rank:.2f}")
-    for column, distribution in enumerate(processing.distributions, start=1):
+    for column, distribution in enumerate(processing.inputs, start=1):
         table.add_row(f"polynomials of input {column}", distribution.family)
     return table
 
@@ -66,19 +67,13 @@ def measures_table(result: Measures) -> Table:
 def survey_table(result: ArmSurvey) -> Table:
     """The measures of an arm's recording, and of the arm itself."""
     table = measures_table(result.measures)
-    settings, echo, lyapunov = result.settings, result.echo, result.lyapunov
-    table.add_row(f"kernel rank, {settings.streams} different streams", f"{result.ranks.kernel}")
-    table.add_row(
-        f"generalisation rank, {settings.streams} similar streams",
-        f"{result.ranks.generalisation}",
-    )
+    streams, ranks, echo = result.settings.streams, result.ranks, result.echo
+    table.add_row(f"kernel rank, {streams} different streams", f"{ranks.kernel_rank}")
+    table.add_row(f"generalisation rank, {streams} similar streams", f"{ranks.generalisation_rank}")
     table.add_row("initial state", echo.verdict)
-    decay = "none" if echo.decay_time is None else f"{echo.decay_time:.3f} s"
+    decay = "none" if echo.decay_time_seconds is None else f"{echo.decay_time_seconds:.3f} s"
     table.add_row("decay time of the initial state", decay)
-    table.add_row(
-        "largest conditional Lyapunov exponent",
-        f"{lyapunov.value:.3f} ± {lyapunov.standard_error:.3f} /s",
-    )
+    table.add_row("largest conditional Lyapunov exponent", f"{result.lyapunov} /s")
     return table
 
 

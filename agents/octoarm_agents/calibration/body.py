@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from octoarm_agents.calibration.body_figure import draw_calibration
+from octoarm_agents.calibration.evaluation import Evaluation
 from octoarm_agents.calibration.outcomes import CLOSED_STEPS
 from octoarm_agents.calibration.score import (
     FAILURE,
@@ -91,10 +93,10 @@ def calibrate_body(
         jobs=jobs,
         progress=progress,
     )
-    best = min(tried, key=lambda evaluation: float(evaluation["score"]))
-    if best["failure"] is not None:
+    best = min(tried, key=lambda evaluation: evaluation.score)
+    if best.failure is not None:
         return None
-    body = spaces[0].base.replace(**best["body"])
+    body = spaces[0].base.replace(**best.body)
     result = {
         "score": SCORE,
         "settings": {
@@ -112,7 +114,7 @@ def calibrate_body(
                 for name, number in OPEN_NUMBERS.items()
             },
         },
-        "best": best,
+        "best": asdict(best),
         "measured_again": measure_again(body, starts),
         "spaces": [_summarise(space, tried) for space in spaces],
         "body": body.to_dict(),
@@ -153,17 +155,17 @@ def measure_again(body: ArmParameters, starts: Sequence[int]) -> dict[str, Any]:
     }
 
 
-def _summarise(space: SearchSpace, tried: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _summarise(space: SearchSpace, tried: Sequence[Evaluation]) -> dict[str, Any]:
     """What one of the searches was, and came to."""
-    mine = [evaluation for evaluation in tried if space.holds(evaluation["body"])]
-    best = min(mine, key=lambda evaluation: float(evaluation["score"]))
+    mine = [evaluation for evaluation in tried if space.holds(evaluation.body)]
+    best = min(mine, key=lambda evaluation: evaluation.score)
     return space.readings | {
-        "search": best["search"],
+        "search": best.search,
         "tilt": space.tilt,
         "evaluations": len(mine),
-        "failures": sum(evaluation["failure"] is not None for evaluation in mine),
-        "best_score": best["score"],
-        "best_outcomes": best["outcomes"],
-        "best_ratios": best["ratios"] if best["failure"] is None else None,
-        "best_body": best["body"],
+        "failures": sum(evaluation.failure is not None for evaluation in mine),
+        "best_score": best.score,
+        "best_outcomes": best.outcomes,
+        "best_ratios": best.ratios if best.failure is None else None,
+        "best_body": best.body,
     }

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
+from octoarm_agents.calibration.evaluation import Evaluation
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
 from octoarm_agents.common.plotting import (
     BLACK,
@@ -35,7 +37,7 @@ _PANELS = 3
 
 
 def draw_calibration(
-    tried: Sequence[Mapping[str, Any]], spaces: Sequence[SearchSpace], path: Path
+    tried: Sequence[Evaluation], spaces: Sequence[SearchSpace], path: Path
 ) -> None:
     """Above, errors against evaluations; below, the score against every parameter searched.
 
@@ -61,40 +63,26 @@ def draw_calibration(
     save_figure(figure, path)
 
 
-def _draw_ratios(axes: Any, tried: Sequence[Mapping[str, Any]]) -> None:
+def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:
     """Ratios of every body in the order tried, and those of the best so far as lines."""
-    leaders, best = [], math.inf
-    leader: Mapping[str, Any] | None = None
-    for evaluation in tried:
-        if evaluation["failure"] is None and evaluation["score"] < best:
-            best, leader = evaluation["score"], evaluation
+    leaders, leader, best = [], dict[str, float](), math.inf
+    for each in tried:
+        if each.failure is None and each.score < best:
+            leader, best = each.ratios or {}, each.score
         leaders.append(leader)
     for task, colour in TASK_COLOURS.items():
-        points = [
-            (index, evaluation["ratios"][task])
-            for index, evaluation in enumerate(tried)
-            if evaluation["ratios"] is not None
-        ]
+        points = [(k, each.ratios[task]) for k, each in enumerate(tried) if each.ratios is not None]
         axes.scatter(*zip(*points, strict=True), s=9, color=colour, alpha=0.5, linewidths=0)
-        line = [math.nan if each is None else each["ratios"][task] for each in leaders]
         axes.step(
             range(len(tried)),
-            line,
+            [ratios.get(task, math.nan) for ratios in leaders],
             where="post",
             color=colour,
             linewidth=1.4,
             label=TASK_LABELS[task],
         )
-    failures = [index for index, each in enumerate(tried) if each["failure"] is not None]
-    axes.plot(
-        failures,
-        np.full(len(failures), 0.97),
-        "|",
-        color=GREY,
-        markersize=6,
-        transform=axes.get_xaxis_transform(),
-        label="left its domain" if failures else None,
-    )
+    failures = [k for k, each in enumerate(tried) if each.failure is not None]
+    _draw_failures(axes, failures, label="left its domain" if failures else None)
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
     axes.set_yscale("log")
     axes.set_xlabel("evaluation (line: the best body so far)")
@@ -103,33 +91,21 @@ def _draw_ratios(axes: Any, tried: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_scatter(
-    axes: Any, name: str, tried: Sequence[Mapping[str, Any]], spaces: Sequence[SearchSpace]
+    axes: Axes, name: str, tried: Sequence[Evaluation], spaces: Sequence[SearchSpace]
 ) -> None:
     """Score against one parameter, a colour a space."""
     for number, space in enumerate(spaces):
         points = [
-            (_abscissa(name, evaluation["body"]), evaluation["score"])
-            for evaluation in tried
-            if space.holds(evaluation["body"]) and evaluation["failure"] is None
+            (_abscissa(name, each.body), each.score)
+            for each in tried
+            if space.holds(each.body) and each.failure is None
         ]
         if points:
-            axes.scatter(
-                *zip(*points, strict=True),
-                s=7,
-                alpha=0.6,
-                linewidths=0,
-                color=_SPACE_COLOURS[number % len(_SPACE_COLOURS)],
-                label=_label(space, spaces),
-            )
-    failed = [_abscissa(name, each["body"]) for each in tried if each["failure"] is not None]
-    axes.plot(
-        failed,
-        np.full(len(failed), 0.97),
-        "|",
-        color=GREY,
-        markersize=6,
-        transform=axes.get_xaxis_transform(),
-    )
+            colour = _SPACE_COLOURS[number % len(_SPACE_COLOURS)]
+            x, y = zip(*points, strict=True)
+            label = _label(space, spaces)
+            axes.scatter(x, y, s=7, alpha=0.6, linewidths=0, color=colour, label=label)
+    _draw_failures(axes, [_abscissa(name, each.body) for each in tried if each.failure is not None])
     if name in OPEN_NUMBERS:
         bounds = OPEN_NUMBERS[name]
         axes.set_xscale("log" if bounds.logarithmic else "linear")
@@ -137,6 +113,12 @@ def _draw_scatter(
     else:
         axes.set_xlabel("tilt of gravity from the arm (degrees)")
     axes.set_ylabel("score")
+
+
+def _draw_failures(axes: Axes, at: Sequence[float], label: str | None = None) -> None:
+    """Strokes at the upper edge."""
+    heights, transform = np.full(len(at), 0.97), axes.get_xaxis_transform()
+    axes.plot(at, heights, "|", color=GREY, markersize=6, transform=transform, label=label)
 
 
 def _abscissa(name: str, body: Mapping[str, Any]) -> float:

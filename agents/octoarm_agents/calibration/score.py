@@ -17,11 +17,11 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.calibration.evaluation import Judgement
 from octoarm_agents.calibration.outcomes import count_contradictions, plain_outcomes
 from octoarm_agents.common.lanes import record_arms
 from octoarm_agents.common.whole import whole_number
@@ -50,7 +50,6 @@ __all__ = [
     "TEACHER_STEPS",
     "WORST_WEIGHT",
     "evaluate_bodies",
-    "evaluate_body",
     "follow_teachers",
     "initial_steps",
     "measure_task1",
@@ -160,7 +159,7 @@ def evaluate_bodies(
     initial: int,
     amplitudes: Mapping[str, float] | None = None,
     noise_seeds: int = 0,
-) -> list[dict[str, Any]]:
+) -> list[Judgement]:
     """Judge bodies by the paper's training, by Task 1, and by whether they can be taught at all.
 
     Together they take less time than one by one, and memory for the spring lengths of all: 11 MB a
@@ -171,69 +170,38 @@ def evaluate_bodies(
         initial: T_ini.
         amplitudes: R by cycle, which a body must be able to follow on a direct base [degrees].
         noise_seeds: trainings of each limit cycle, see `plain_outcomes`; 0: none.
-
-    Returns:
-        For each body ``score``; ``outcomes``, see `plain_outcomes`, None without noise seeds or
-        after a failure; ``ratios`` by task, None if the arm left its domain in Task 1;
-        ``failure``: None, or where (``stage``: ``"rest"``, ``"task1"`` or a cycle) and after which
-        ``part`` of it. The score of a failure is `FAILURE` plus the stages that were not completed.
     """
     cycles = list((amplitudes or {}).items())
-    results: dict[int, dict[str, Any]] = {}
+    results: dict[int, Judgement] = {}
     arms: dict[int, Arm] = {}
+
+    def fail(index: int, stage: str, part: float, remaining: int, **more: str) -> None:
+        failure = {"stage": stage, "part": part} | more
+        results[index] = Judgement(FAILURE + remaining - part, None, ratios.get(index), failure)
+        arms.pop(index, None)
+
+    ratios: dict[int, dict[str, float]] = {}
     for index, body in enumerate(bodies):
         try:
             check_timestep(body)
             arms[index] = Arm(body)
         except ValueError as error:  # no static equilibrium
-            results[index] = _failed(None, "rest", 0.0, 1 + len(cycles))
-            results[index]["failure"]["message"] = str(error)
-    ratios: dict[int, dict[str, float]] = {}
+            fail(index, "rest", 0.0, 1 + len(cycles), message=str(error))
     measured = measure_task1(list(arms.values()), [initial] * len(arms))
     for index, outcome in zip(list(arms), measured, strict=True):
         if isinstance(outcome, DomainError):
-            part = outcome.step / _drive(initial).test.stop
-            results[index] = _failed(None, "task1", part, 1 + len(cycles))
-            del arms[index]
+            fail(index, "task1", outcome.step / _drive(initial).test.stop, 1 + len(cycles))
         else:
             ratios[index] = outcome
     for stage, (target, amplitude) in enumerate(cycles):
         steps = follow_teachers(list(arms.values()), [target] * len(arms), [amplitude] * len(arms))
         for index, made in zip(list(arms), steps, strict=True):
             if made < TEACHER_STEPS:
-                part = made / TEACHER_STEPS
-                results[index] = _failed(ratios[index], target, part, len(cycles) - stage)
-                del arms[index]
+                fail(index, target, made / TEACHER_STEPS, len(cycles) - stage)
     for index in arms:
         score, outcomes = score_ratios(ratios[index]), None
         if noise_seeds:
             outcomes = plain_outcomes(bodies[index], noise_seeds)
             score = min(score + OUTCOME_WEIGHT * count_contradictions(outcomes), FAILURE)
-        results[index] = {
-            "score": score,
-            "outcomes": outcomes,
-            "ratios": ratios[index],
-            "failure": None,
-        }
+        results[index] = Judgement(score, outcomes, ratios[index], None)
     return [results[index] for index in range(len(bodies))]
-
-
-def evaluate_body(
-    parameters: ArmParameters,
-    initial: int,
-    amplitudes: Mapping[str, float] | None = None,
-    noise_seeds: int = 0,
-) -> dict[str, Any]:
-    """Judge one body, see `evaluate_bodies`."""
-    return evaluate_bodies([parameters], initial, amplitudes, noise_seeds)[0]
-
-
-def _failed(
-    ratios: dict[str, float] | None, stage: str, part: float, remaining: int
-) -> dict[str, Any]:
-    return {
-        "score": FAILURE + remaining - part,
-        "outcomes": None,
-        "ratios": ratios,
-        "failure": {"stage": stage, "part": part},
-    }

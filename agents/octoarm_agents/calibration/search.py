@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,17 @@ import cma
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.calibration.record import append_evaluations, read_evaluations
+from octoarm_agents.calibration.evaluation import (
+    Evaluation,
+    append_evaluations,
+    read_evaluations,
+)
 from octoarm_agents.calibration.score import evaluate_bodies
 from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
 from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.common.trials import code_digest, share_out
 from octoarm_agents.common.whole import whole_number
-from octoarm_env import ArmParameters
 
 __all__ = ["POPULATION", "search_bodies"]
 
@@ -46,7 +50,7 @@ def search_bodies(
     seed: int = 0,
     jobs: int = 1,
     progress: bool | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Evaluation]:
     """Search every space for the body with the lowest score, all at the same pace.
 
     Every evaluation is written to `file` with its generation. A later call with the same spaces,
@@ -65,15 +69,13 @@ def search_bodies(
         progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
-        The evaluations of these searches, each ``search`` (digest of all that it depends on),
-        ``seed``, ``index``, ``body`` (open parameters by field), ``score``, ``outcomes``,
-        ``ratios`` and ``failure``; in the order in which they are tried.
+        The evaluations of these searches, in the order in which they are tried.
 
     Raises:
         ValueError: a setting out of its range, or a file of something else.
         OSError: the file cannot be read or written.
     """
-    from joblib import Parallel
+    from joblib import Parallel, delayed
 
     evaluations, jobs = whole_number("evaluations", evaluations, 1), whole_number("jobs", jobs, 1)
     noise_seeds, seed = whole_number("noise_seeds", noise_seeds), whole_number("seed", seed)
@@ -88,7 +90,7 @@ def search_bodies(
     }
     stored = read_evaluations(file)
     searches = [_Search(space, judge, seed, stored) for space in spaces]
-    results: list[dict[str, Any]] = []
+    results: list[Evaluation] = []
     with (
         progress_bar(evaluations * len(spaces), "bodies", shown=progress) as bar,
         Parallel(n_jobs=min(jobs, POPULATION * len(spaces))) as parallel,
@@ -99,33 +101,21 @@ def search_bodies(
                 for search in searches
                 for evaluation in search.ask(min(POPULATION, evaluations - begin))
             ]
-            _evaluate(parallel, jobs, spaces[0].base, asked, file, judge)
+            new = [each for each in asked if math.isnan(each.score)]
+            bodies = [spaces[0].base.replace(**each.body) for each in new]
+            judged = parallel(
+                delayed(evaluate_bodies)(bodies[share], **judge)
+                for share in share_out(len(new), jobs)
+            )
+            for evaluation, found in zip(new, itertools.chain(*judged), strict=True):
+                evaluation.score, evaluation.outcomes, evaluation.ratios, evaluation.failure = found
+            append_evaluations(file, new)
             for search in searches:
                 search.tell()
             results += asked
             bar.update(len(asked))
-            bar.set_postfix(best=f"{min(each['score'] for each in results):.3f}")
+            bar.set_postfix(best=f"{min(each.score for each in results):.3f}")
     return results
-
-
-def _evaluate(
-    parallel: Any,
-    jobs: int,
-    base: ArmParameters,
-    asked: Sequence[dict[str, Any]],
-    file: Path,
-    judge: Mapping[str, Any],
-) -> None:
-    """Complete the evaluations that have no score yet, and add them to the file."""
-    from joblib import delayed
-
-    new = [evaluation for evaluation in asked if "score" not in evaluation]
-    bodies = [base.replace(**evaluation["body"]) for evaluation in new]
-    shares = share_out(len(new), jobs)
-    judged = parallel(delayed(evaluate_bodies)(bodies[share], **judge) for share in shares)
-    for evaluation, result in zip(new, itertools.chain(*judged), strict=True):
-        evaluation.update(result)
-    append_evaluations(file, new)
 
 
 class _Search:
@@ -139,19 +129,19 @@ class _Search:
         space: SearchSpace,
         judge: Mapping[str, Any],
         seed: int,
-        stored: Sequence[dict[str, Any]],
+        stored: Sequence[Evaluation],
     ) -> None:
         self.space = space
         self._seed = seed
         self._digest = _digest(space, judge, seed)
-        self._stored = {each["index"]: each for each in stored if each["search"] == self._digest}
+        self._stored = {each.index: each for each in stored if each.search == self._digest}
         self._random = np.random.default_rng(seed)
         self._count = 0
         self._strategy = self._begin(np.array(space.begin))
         self._candidates: list[Float] = []
-        self._asked: list[dict[str, Any]] = []
+        self._asked: list[Evaluation] = []
 
-    def ask(self, count: int) -> list[dict[str, Any]]:
+    def ask(self, count: int) -> list[Evaluation]:
         """The next candidates, at most a generation; those on file with their scores.
 
         Raises:
@@ -163,21 +153,16 @@ class _Search:
         self._asked = []
         for candidate in self._candidates[:count]:
             body = self.space.changes(candidate)
-            evaluation = {
-                "search": self._digest,
-                "seed": self._seed,
-                "index": self._count,
-                "body": body,
-            }
-            known = self._stored.get(self._count)
-            if known is not None:
-                if known["body"] != body:
-                    raise ValueError(
-                        f"evaluation {self._count} of search {self._digest} on file is of another"
-                        " body than the search tries: the file has been changed"
-                    )
-                results = {name: known[name] for name in ("score", "outcomes", "ratios", "failure")}
-                evaluation |= results
+            evaluation = self._stored.get(self._count)
+            if evaluation is None:
+                evaluation = Evaluation(
+                    self._digest, self._seed, self._count, body, math.nan, None, None, None
+                )
+            elif evaluation.body != body:
+                raise ValueError(
+                    f"evaluation {self._count} of search {self._digest} on file is of another"
+                    " body than the search tries: the file has been changed"
+                )
             self._asked.append(evaluation)
             self._count += 1
         return self._asked
@@ -185,8 +170,7 @@ class _Search:
     def tell(self) -> None:
         """Learn from the generation asked for; from a part of one, the last, nothing is learnt."""
         if len(self._asked) == len(self._candidates):
-            scores = [evaluation["score"] for evaluation in self._asked]
-            self._strategy.tell(self._candidates, scores)
+            self._strategy.tell(self._candidates, [each.score for each in self._asked])
 
     def _begin(self, mean: Float) -> Any:
         # Numbers from a generator of its own: by itself the library seeds that of all of NumPy.

@@ -182,8 +182,8 @@ def measure_sensitivity(
     """
     check_timestep(base)
     ladder = sorted(amplitudes)
-    if not ladder or not ladder[0] > 0:
-        raise ValueError(f"amplitudes = {list(amplitudes)}: expected positive numbers of degrees")
+    if not ladder or not all(0 < amplitude <= 360 for amplitude in ladder):
+        raise ValueError(f"amplitudes = {list(amplitudes)}: expected 0 to 360 degrees, not 0")
     starts = initial_steps(trials)
     changes = changes_of(base)
     results = run_trials(

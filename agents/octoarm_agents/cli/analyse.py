@@ -2,45 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
-from octoarm_agents.cli.log_options import (
-    FillGaps,
-    Hold,
-    InputColumns,
-    SkipLines,
-    StatesColumns,
-    TimeColumn,
+from octoarm_agents.cli.options import (
+    Actuator,
+    Body,
+    Jobs,
+    Seed,
+    number,
+    processes,
+    read_body,
+    refused,
+    result_folder,
 )
-from octoarm_agents.cli.options import number_between, output_folder, read_body
 from octoarm_agents.common.progress import progress_bar, stage_bar
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from matplotlib.figure import Figure
+    from rich.table import Table
 
-    from octoarm_agents.analysis.measures import MeasureSettings
-    from octoarm_agents.analysis.survey import SurveySettings
-    from octoarm_agents.analysis.sweep import Quantity
+    from octoarm_agents.analysis.survey import ArmSurvey, SurveySettings
+    from octoarm_env import ArmParameters
 
 __all__ = ["app"]
 
+Number = TypeVar("Number", int, float)
+
 app = typer.Typer(
-    help="What a reservoir can compute, from its states and its input.",
+    help="What a reservoir can compute, and what its body's parameters do to it.",
     no_args_is_help=True,
 )
 
-Out = Annotated[
-    Path, typer.Option(help="Folder for analysis.png and analysis.json.", callback=output_folder)
-]
-MaxDelay = Annotated[
-    int,
-    typer.Option(
-        help="Largest delay of the memory capacity, in rows.", callback=number_between(1, 100_000)
-    ),
-]
+# How states are measured, a log's or the arm's.
+Out = Annotated[Path, result_folder("analysis.png and analysis.json")]
+MaxDelay = Annotated[int, number("Largest delay of the memory capacity, in rows.", 1, 100_000)]
 Delays = Annotated[
     str,
     typer.Option(
@@ -48,81 +47,74 @@ Delays = Annotated[
     ),
 ]
 Significance = Annotated[
-    float,
-    typer.Option(
-        help="Probability that a capacity of nothing counts.", callback=number_between(1e-12, 0.5)
-    ),
+    float, number("Probability that a capacity of nothing counts.", 1e-12, 0.5)
 ]
 Surrogates = Annotated[
     int,
-    typer.Option(
-        help="Shuffled inputs whose largest processing capacity is the threshold, "
-        "instead of the chi-square distribution.",
-        show_default="chi-square",
-        callback=number_between(0, 1000),
-    ),
+    number("Shuffled inputs that the thresholds are from.", 0, 1000, show_default="chi-square"),
 ]
-Training = Annotated[
-    float,
-    typer.Option(
-        help="Share of the rows that the memory readout learns from; the others test it.",
-        callback=number_between(0.1, 0.9),
-    ),
-]
+Training = Annotated[float, number("Share of the rows that the memory readout learns.", 0.1, 0.9)]
 Tolerance = Annotated[
     float,
-    typer.Option(
-        help="Singular values above this share of the largest count in the ranks.",
-        callback=number_between(1e-12, 0.5),
-    ),
+    number("Singular values above this share of the largest count in the ranks.", 1e-12, 0.5),
 ]
-Seed = Annotated[
-    int, typer.Option(help="Seed of all that is random.", callback=number_between(0, 2**32 - 1))
-]
+
+
+def _file(content: str, *names: str, **more: Any) -> Any:
+    """Give the option of a recording's file."""
+    kinds = f"a row a sample: .npy, .npz with the key {content!r}, or a text file"
+    text = f"{content.capitalize()}, {kinds} (.csv, .tsv, .txt)."
+    return typer.Option(*names, help=text, exists=True, dir_okay=False, **more)
 
 
 @app.command("states")
 def states(
-    states_file: Annotated[
-        Path,
-        typer.Option(
-            "--states",
-            help="States, a row a sample: .npy, .npz with the key 'states', or a text file "
-            "(.csv, .tsv, .txt).",
-            exists=True,
-            dir_okay=False,
-        ),
-    ],
+    states_file: Annotated[Path, _file("states", "--states")],
     input_file: Annotated[
-        Path | None,
+        Path | None, _file("input", "--input", show_default="in the states' file")
+    ] = None,
+    states_columns: Annotated[
+        str | None,
         typer.Option(
-            "--input",
-            help="Input, a row a sample: .npy, .npz with the key 'input', or a text file.",
-            exists=True,
-            dir_okay=False,
-            show_default="in the states' file",
+            help="Columns of a text file that are states, with commas between them: names with or "
+            'without their unit, patterns such as "spring*", or numbers such as 2-81.',
+            show_default="all but input and time",
         ),
     ] = None,
-    states_columns: StatesColumns = None,
-    input_columns: InputColumns = None,
-    time_column: TimeColumn = None,
-    skip_lines: SkipLines = 0,
-    fill_gaps: FillGaps = 0,
-    hold: Hold = None,
-    out: Out = Path("out/analysis"),
-    washout: Annotated[
+    input_columns: Annotated[
+        str | None,
+        typer.Option(
+            help="Columns that are the input, in the states' file if there is no --input.",
+            show_default="all of --input but time",
+        ),
+    ] = None,
+    time_column: Annotated[
+        str | None,
+        typer.Option(
+            help="Column of times, numbers or ISO 8601; missing rows and uneven times are noticed.",
+            show_default="none: rows are taken as evenly spaced",
+        ),
+    ] = None,
+    skip_lines: Annotated[int, number("Lines of a text file before the table.", 0, 10**6)] = 0,
+    fill_gaps: Annotated[
         int,
-        typer.Option(help="Rows left out at the begin.", callback=number_between(0, 10_000_000)),
-    ] = 100,
+        number("Longest gap that is filled, in rows: states linearly, the input held.", 0, 10**6),
+    ] = 0,
+    hold: Annotated[
+        int | None,
+        number(
+            "Rows that each input value is held for; its last is measured, delays count holds.",
+            1,
+            10**6,
+            show_default="1, refused if a hold is seen",
+        ),
+    ] = None,
+    out: Out = Path("out/analysis"),
+    washout: Annotated[int, number("Rows left out at the begin.", 0, 10**7)] = 100,
     max_delay: MaxDelay = 60,
     delays: Delays = "60,25,15,9,6",
     noise: Annotated[
-        float,
-        typer.Option(
-            help="ν: half width of white noise on each state, in the states' unit; "
-            "0 takes the pseudo-inverse.",
-            callback=number_between(0.0, 1e12),
-        ),
+        float, number("ν: half width of white noise on each state, in its unit.", 0.0, 1e12)
     ] = 0.0,
     significance: Significance = 1e-4,
     surrogates: Surrogates = 0,
@@ -139,39 +131,20 @@ def states(
 ) -> None:
     """Measure a recording of states and input, of the arm or of any other reservoir.
 
-    The input should be independent from row to row; row t of the states has
-    seen input t. Logs of instruments are taken as they are: with a header or
-    without, decimal commas, units, comments (docs/your-own-log.md).
-
-    Linear memory capacity (Jaeger 2002, "Short term memory in echo state
-    networks"): for each delay the share of the input's variance that a linear
-    readout with bias recovers, summed over the delays 1 … K. On all rows,
-    corrected for the bias of the fit by leaving each row out of it, and as
-    squared correlation on rows held out.
-
-    Information processing capacity (Dambre et al. 2012, "Information processing
-    capacity of dynamical systems"): the same for all products of orthonormal
-    polynomials of delayed inputs, up to a degree and a delay. For an
-    independent input the sum cannot exceed the rank of the states.
-
-    Rank: of the states to rounding, above a tolerance, and as participation
-    ratio of their variances.
-
-    A capacity counts if it is a larger multiple of its bias than chance gives
-    with the probability --significance (chi-square distribution), or than all
-    --surrogates give.
+    Linear memory capacity, information processing capacity, and the rank of the
+    states (docs/analysis.md explains them). The input should be independent from
+    row to row; row t of the states has seen input t. Logs of instruments are taken
+    as they are: with a header or without, decimal commas, units, comments
+    (docs/your-own-log.md).
     """
-    from rich.console import Console
-
     from octoarm_agents.analysis.figure import draw_analysis
     from octoarm_agents.analysis.measures import MeasureSettings, measure
     from octoarm_agents.analysis.recording_file import read_recording
     from octoarm_agents.analysis.tables import measures_table
-    from octoarm_agents.common.files import write_atomically, write_json
 
     settings = MeasureSettings(
         max_delay=max_delay,
-        delays=_parse_delays(delays),
+        delays=_numbers(delays, int, "--delays"),
         washout=washout,
         noise=noise,
         significance=significance,
@@ -181,87 +154,46 @@ def states(
         tolerance=tolerance,
         seed=seed,
     )
-    console = Console()
     try:
-        recording = read_recording(
-            states_file,
-            input_file,
-            states_columns=states_columns,
-            input_columns=input_columns,
-            time_column=time_column,
-            skip_lines=skip_lines,
-            fill_gaps=fill_gaps,
-            hold=hold,
-        )
-        with stage_bar("measuring") as advance:
-            result = measure(recording, settings, advance)
+        with refused():
+            recording = read_recording(
+                states_file,
+                input_file,
+                states_columns=states_columns,
+                input_columns=input_columns,
+                time_column=time_column,
+                skip_lines=skip_lines,
+                fill_gaps=fill_gaps,
+                hold=hold,
+            )
+            with stage_bar("measuring") as advance:
+                result = measure(recording, settings, advance)
     except OSError as error:
         raise typer.BadParameter(f"cannot read {error.filename}: {error.strerror}.") from None
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
-    write_json(out / "analysis.json", result.to_dict() | _computed_with())
-    write_atomically(out / "analysis.png", draw_analysis(result).savefig)
-    console.print(measures_table(result))
-    _finish(console, result.warnings, out)
+    _finish(out, result.to_dict(), draw_analysis(result), measures_table(result), result.warnings)
 
 
 @app.command("arm")
 def arm(
     out: Out = Path("out/analysis"),
-    body: Annotated[
-        Path | None,
-        typer.Option(
-            "--arm",
-            help="A body: nakajima2013, inertial, or a JSON file of parameters.",
-            show_default="the default body",
-        ),
-    ] = None,
-    actuator: Annotated[
-        Literal["direct", "servo"],
-        typer.Option(
-            help="How the base follows its command: at once, as in the paper, or through a servo."
-        ),
-    ] = "direct",
+    body: Body = None,
+    actuator: Actuator = "direct",
     amplitude: Annotated[
         float,
-        typer.Option(
-            "--amplitude",
-            "-R",
-            help="R: angle of an input of 1 in degrees.",
-            callback=number_between(0.001, 360.0, "degrees"),
-        ),
+        number("R: angle of an input of 1.", 0.001, 360.0, "degrees", "--amplitude", "-R"),
     ] = 20.0,
-    hold: Annotated[
-        float,
-        typer.Option(
-            help="Seconds that each input value lasts.", callback=number_between(0.002, 10.0, "s")
-        ),
-    ] = 0.05,
+    hold: Annotated[float, number("Seconds that each input value lasts.", 0.002, 10.0, "s")] = 0.05,
     axes: Annotated[
         Literal["both", "theta"],
         typer.Option(help="Turn θ and φ by the same angle (Eq. 16), or θ alone."),
     ] = "both",
-    samples: Annotated[
-        int,
-        typer.Option(
-            help="Input values that are measured.", callback=number_between(400, 1_000_000)
-        ),
-    ] = 10_000,
-    washout: Annotated[
-        int,
-        typer.Option(
-            help="Input values before anything is measured.", callback=number_between(0, 1_000_000)
-        ),
-    ] = 500,
+    samples: Annotated[int, number("Input values that are measured.", 400, 10**6)] = 10_000,
+    washout: Annotated[int, number("Input values before anything is measured.", 0, 10**6)] = 500,
     max_delay: MaxDelay = 60,
     delays: Delays = "60,25,15,9,6",
     noise: Annotated[
         float,
-        typer.Option(
-            help="ν: half width in metres of white noise on each spring length; "
-            "0 takes the pseudo-inverse.",
-            callback=number_between(0.0, 0.01, "metres"),
-        ),
+        number("ν: half width of white noise on each length, in metres.", 0.0, 0.01, "metres"),
     ] = 0.0,
     significance: Significance = 1e-4,
     surrogates: Surrogates = 0,
@@ -278,48 +210,37 @@ def arm(
             show_default="1/4 to 4, range R/8 to 2 R",
         ),
     ] = None,
-    jobs: Annotated[
-        int,
-        typer.Option(help="Processes for the sweep.", callback=number_between(1, 1024)),
-    ] = 1,
+    jobs: Jobs = None,
     seed: Seed = 0,
 ) -> None:
     """Drive the arm with an independent random input and measure what its body computes.
 
     Input values are uniform in [-1, 1]; each lasts one hold, in which the base
-    moves from the last value's angle to this value's on a minimum-jerk path.
-    The spring lengths at the end of each hold are the states. Measured are
-    memory capacity, information processing capacity and rank, as by `octoarm
-    analyse states`, and of the arm itself:
-
-    Kernel rank and generalisation rank (Legenstein and Maass 2007; Büsing et
-    al. 2010): of the states after many different input streams, and after many
-    similar ones, at the same resolution.
-
-    Echo-state test (Jaeger 2001): the distance between an arm from rest and one
-    that another input moved before, under the same input; its decay time.
-
-    Largest conditional Lyapunov exponent (Benettin et al. 1980): the rate at
-    which two nearby arms under the same input part, or meet if it is negative.
-
-    With --sweep all is repeated over stiffness, damping, drag or range (section
-    4 of the paper).
+    moves on a minimum-jerk path; the spring lengths at its end are the states.
+    Measured are memory capacity, information processing capacity, ranks, how the
+    initial state is forgotten, and the largest conditional Lyapunov exponent
+    (docs/analysis.md explains them). With --sweep all is repeated over stiffness,
+    damping, drag or range (section 4 of the paper), in --jobs processes.
 
     Exit status: 0; 1 if the arm left its domain, in a sweep at every value; 2
     for bad options.
     """
-    from rich.console import Console
+    from dataclasses import asdict
 
     from octoarm_agents.analysis.drive import Drive
+    from octoarm_agents.analysis.figure import draw_analysis
     from octoarm_agents.analysis.measures import MeasureSettings
     from octoarm_agents.analysis.survey import SurveySettings
+    from octoarm_agents.analysis.sweep import QUANTITIES, default_values, run_sweep
+    from octoarm_agents.analysis.sweep_figure import draw_sweep
+    from octoarm_agents.analysis.tables import survey_table, sweep_table
 
     if sweep is None and values is not None:
         raise typer.BadParameter("only --sweep takes values.", param_hint="'--values'")
     parameters = read_body(body)
     measures = MeasureSettings(
         max_delay=max_delay,
-        delays=_parse_delays(delays),
+        delays=_numbers(delays, int, "--delays"),
         washout=washout,
         noise=noise,
         significance=significance,
@@ -328,26 +249,48 @@ def arm(
         tolerance=tolerance,
         seed=seed,
     )
-    drive = Drive(amplitude, hold, axes, actuator)
-    settings = SurveySettings(drive, measures, samples)
-    try:
+    settings = SurveySettings(Drive(amplitude, hold, axes, actuator), measures, samples)
+    with refused():
         if sweep is None:
-            _survey(Console(), parameters, settings, out)
-        else:
-            _sweep(Console(), sweep, values, parameters, settings, jobs, out)
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
+            survey = _survey(parameters, settings)
+            warnings = survey.measures.warnings
+            figure = draw_analysis(survey.measures, survey)
+            _finish(out, survey.to_dict(), figure, survey_table(survey), warnings)
+            return
+        chosen = default_values(sweep, settings)
+        if values is not None:
+            chosen = _numbers(values, float, "--values")
+        with progress_bar(len(chosen), sweep) as bar:
+            points = run_sweep(
+                sweep, chosen, parameters, settings, processes(jobs), lambda point: bar.update()
+            )
+    warnings = [
+        f"{sweep} {point.value:g}: {warning}"
+        for point in points
+        for warning in (point.summary or {}).get("warnings", ())
+    ]
+    content = {
+        "quantity": sweep,
+        "meaning": QUANTITIES[sweep],
+        "points": [point.to_dict() for point in points],
+        "survey": settings.to_dict(parameters.timestep),
+        "measures": asdict(measures),
+        "body": parameters.to_dict(),
+    }
+    _finish(out, content, draw_sweep(sweep, points), sweep_table(sweep, points), warnings)
+    for point in points:
+        if point.failure is not None:
+            typer.echo(f"{sweep} {point.value:g}: {point.failure}", err=True)
+    if all(point.summary is None for point in points):
+        raise typer.Exit(1)
 
 
-def _survey(console: Console, parameters: Any, settings: SurveySettings, out: Path) -> None:
-    from octoarm_agents.analysis.figure import draw_analysis
+def _survey(parameters: ArmParameters, settings: SurveySettings) -> ArmSurvey:
+    """All measures of the arm; where it leaves its domain, the command ends."""
     from octoarm_agents.analysis.survey import survey_arm
-    from octoarm_agents.analysis.tables import survey_table
-    from octoarm_agents.common.files import write_atomically, write_json
     from octoarm_env import DomainError
 
     stages = ["starting"]
-
     try:
         with stage_bar("starting") as advance:
 
@@ -355,98 +298,81 @@ def _survey(console: Console, parameters: Any, settings: SurveySettings, out: Pa
                 stages.append(stage)
                 advance(stage, share)
 
-            result = survey_arm(parameters, settings, note)
+            return survey_arm(parameters, settings, note)
     except DomainError as error:
         typer.echo(f"Ended during {stages[-1]}: {error}.", err=True)
         typer.echo("The input is too much for this body: try a smaller --amplitude.", err=True)
         raise typer.Exit(1) from None
-    write_json(out / "analysis.json", result.to_dict() | _computed_with())
-    write_atomically(out / "analysis.png", draw_analysis(result.measures, result).savefig)
-    console.print(survey_table(result))
-    _finish(console, result.measures.warnings, out)
 
 
-def _sweep(
-    console: Console,
-    quantity: Quantity,
-    values: str | None,
-    parameters: Any,
-    settings: SurveySettings,
-    jobs: int,
-    out: Path,
+@app.command("sensitivity")
+def sensitivity(
+    out: Annotated[Path, result_folder("sensitivity.json, .png and .md")] = Path(
+        "out/analysis/sensitivity"
+    ),
+    trials: Annotated[int, number("T_ini over which the errors are averaged.", 1, 1001)] = 3,
+    noise_seeds: Annotated[
+        int, number("Trainings of each limit cycle with the paper's R and ν.", 0, 100)
+    ] = 2,
+    ranges: Annotated[
+        str | None,
+        typer.Option(help="R of the teachers in degrees.", show_default="5 to 130 in ten steps"),
+    ] = None,
+    jobs: Jobs = None,
+    body: Body = None,
 ) -> None:
-    from octoarm_agents.analysis.sweep import QUANTITIES, default_values, run_sweep
-    from octoarm_agents.analysis.sweep_figure import draw_sweep
-    from octoarm_agents.analysis.tables import sweep_table
+    """Move each parameter that the paper leaves open alone, and measure the body again.
+
+    Measured are the errors of Task 1 as ratios to Table 2 at R = 60, for each
+    cycle the largest R up to which a teacher can force the arm on a direct base
+    for 10,000 steps, and what the paper's own training makes of it (docs/body.md).
+    Finished bodies are kept in .sensitivity-trials, so that an interrupted run
+    goes on there.
+    """
+    from octoarm_agents.calibration.sensitivity import AMPLITUDES, measure_sensitivity
+    from octoarm_agents.calibration.sensitivity_report import sensitivity_markdown
+
+    base = read_body(body)
+    ladder = AMPLITUDES if ranges is None else _numbers(ranges, float, "--ranges")
+    with refused():
+        result = measure_sensitivity(
+            base,
+            out=out,
+            trials=trials,
+            amplitudes=ladder,
+            noise_seeds=noise_seeds,
+            jobs=processes(jobs),
+        )
+    typer.echo(sensitivity_markdown(result))
+    typer.echo(f"Wrote sensitivity.json, sensitivity.png and sensitivity.md into {out}.")
+
+
+def _finish(
+    out: Path, content: dict[str, Any], figure: Figure, table: Table, warnings: Iterable[str]
+) -> None:
+    """Write the two files, print the table and what the reader of it should know."""
+    from rich.console import Console
+
     from octoarm_agents.common.files import write_atomically, write_json
+    from octoarm_agents.common.provenance import describe_machine, package_versions
 
-    chosen = default_values(quantity, settings) if values is None else _parse_values(values)
-    with progress_bar(len(chosen), quantity) as bar:
-        points = run_sweep(quantity, chosen, parameters, settings, jobs, lambda point: bar.update())
-    content = {
-        "quantity": quantity,
-        "meaning": QUANTITIES[quantity],
-        "points": [point.to_dict() for point in points],
-        "survey": settings.to_dict(parameters.timestep),
-        "measures": _plain(settings.measures),
-        "body": parameters.to_dict(),
-    }
-    write_json(out / "analysis.json", content | _computed_with())
-    write_atomically(out / "analysis.png", draw_sweep(quantity, points).savefig)
-    console.print(sweep_table(quantity, points))
-    for point in points:
-        if point.failure is not None:
-            typer.echo(f"{quantity} {point.value:g}: {point.failure}", err=True)
-    warnings = [
-        f"{quantity} {point.value:g}: {warning}"
-        for point in points
-        for warning in (point.summary or {}).get("warnings", ())
-    ]
-    _finish(console, warnings, out)
-    if all(point.summary is None for point in points):
-        raise typer.Exit(1)
-
-
-def _finish(console: Console, warnings: list[str], out: Path) -> None:
+    versions = package_versions("octoarm-env", "octoarm-agents", "numpy", "scipy", "matplotlib")
+    computed_with = {"versions": versions, "machine": describe_machine()}
+    write_json(out / "analysis.json", content | computed_with)
+    write_atomically(out / "analysis.png", figure.savefig)
+    console = Console()
+    console.print(table)
     for warning in warnings:
         console.print(warning, soft_wrap=True, markup=False)
     console.print(f"Wrote {out / 'analysis.png'} and {out / 'analysis.json'}.", soft_wrap=True)
 
 
-def _computed_with() -> dict[str, Any]:
-    from octoarm_agents.common.provenance import describe_machine, package_versions
-
-    names = ("octoarm-env", "octoarm-agents", "numpy", "scipy", "matplotlib")
-    return {"versions": package_versions(*names), "machine": describe_machine()}
-
-
-def _plain(settings: MeasureSettings) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return asdict(settings) | {"delays": list(settings.delays)}
-
-
-def _parse_delays(text: str) -> tuple[int, ...]:
+def _numbers(text: str, kind: Callable[[str], Number], option: str) -> tuple[Number, ...]:
+    """The numbers in an option that takes several."""
     try:
-        delays = tuple(int(part) for part in text.split(","))
+        return tuple(kind(part) for part in text.split(","))
     except ValueError:
-        delays = ()
-    if not delays or min(delays) < 0:
         raise typer.BadParameter(
-            f"{text!r}: expected whole numbers, not negative, with commas between them.",
-            param_hint="'--delays'",
-        )
-    return delays
-
-
-def _parse_values(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if not values or not all(0 < value < float("inf") for value in values):
-        raise typer.BadParameter(
-            f"{text!r}: expected positive numbers with commas between them.",
-            param_hint="'--values'",
-        )
-    return values
+            f"{text!r}: expected {'whole ' * (kind is int)}numbers with commas between them.",
+            param_hint=f"'{option}'",
+        ) from None

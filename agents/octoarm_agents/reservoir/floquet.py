@@ -13,7 +13,7 @@ all readouts; a readout W closes the loop, and a deviation obeys
 
 with the Jacobians A and B of a step by state and command, and C of the lengths by the state. The
 exponents are the Lyapunov exponents of this map: a few deviations are propagated and
-orthonormalised now and then (Benettin, Galgani, Giorgilli and Strelcyn 1980, Meccanica 15:9-20).
+orthonormalised now and then (`octoarm_agents.reservoir.benettin`).
 The loop's own stability is not needed: the body is forced by the teacher, only the deviations see
 the readout. Deviations of 1e-8 of the state, carried through the arm itself for 3,000 steps, grow
 at rates that differ by up to 0.1/s, mostly by less than 0.05/s.
@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
+from octoarm_agents.reservoir.benettin import stretch_factors
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
 
 __all__ = ["TeacherRun", "floquet_exponents"]
@@ -180,17 +181,17 @@ def floquet_exponents(
         loop = [step.state + step.command @ (gains @ step.lengths) for step in maps]
         random = np.random.default_rng(seed)
         directions = np.linalg.qr(random.normal(size=(len(loop[0]), count)))[0]
-        sums = np.zeros(count)
-        for time in range(skip + steps):
+
+        def carry(deviations: Float, time: int) -> Float:
             # Rounding may carry the end of a turn to the next part.
             part = min(int(time % run.turn * _POINTS / run.turn), len(loop) - 1)
-            directions = loop[part] @ directions
-            if (time + 1 - skip) % _CHUNK == 0 or time + 1 in (skip, skip + steps):
-                if not np.isfinite(directions).all():
-                    raise ValueError("the gain of the loop is beyond all bounds")
-                directions, triangle = np.linalg.qr(directions)
-                if time >= skip:
-                    sums += np.log(np.abs(np.diag(triangle)))
+            carried: Float = loop[part] @ deviations
+            if not np.isfinite(carried).all():
+                raise ValueError("the gain of the loop is beyond all bounds")
+            return carried
+
+        factors = stretch_factors(carry, directions, steps, transient=skip, every=_CHUNK)
+        sums = np.log(factors).sum(axis=0)
     exponents: Float = np.sort(sums / (steps * run.parameters.timestep))[::-1]
     return exponents
 
