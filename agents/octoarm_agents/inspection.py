@@ -18,9 +18,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from octoarm_agents.common.files import atomic_file
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.inspection_layout import layout
 from octoarm_agents.policies.episode import Episode
-from octoarm_agents.reservoir.orbit import orbit_distance
 from octoarm_env import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.colours import (

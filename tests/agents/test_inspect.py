@@ -15,10 +15,10 @@ from octoarm_agents import inspection
 from octoarm_agents.cli import inspect as command
 from octoarm_agents.cli.actors import find_actor
 from octoarm_agents.common.environment import make_vector_env
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import acting
 from octoarm_agents.policies.rollout import Noise, Push, roll_out
-from octoarm_agents.reservoir.orbit import orbit_distance
 from typer.testing import CliRunner
 
 from octoarm_env import ArmParameters
@@ -539,7 +539,7 @@ class TestOptions:
         assert "Traceback" not in result.output
         assert list(tmp_path.rglob("*.rrd")) == []
 
-    @pytest.mark.parametrize("name", ["no-such-agent.json", "nobody/quadratic", "hold/nowhere"])
+    @pytest.mark.parametrize("name", ["no-such-agent.npz", "nobody/quadratic", "hold/nowhere"])
     def test_a_missing_agent_is_named(self, name, tmp_path):
         result = run(name, "--out", tmp_path / "e.rrd")
         assert result.exit_code == 2

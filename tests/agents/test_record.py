@@ -407,7 +407,7 @@ class TestFrames:
         assert lines[0] == episode.report()
 
     def test_the_time_is_that_of_the_control_period(self, tmp_path):
-        policy = tmp_path / "slow.json"
+        policy = tmp_path / "slow.npz"
         train_policy({"control_period": 0.02}, steps=300).save(policy)
         drawn, _ = draw_all(policy, steps=12)
         path = tmp_path / "film.mp4"
@@ -870,7 +870,7 @@ class TestOptions:
     @pytest.mark.parametrize(
         ("name", "reason"),
         [
-            ("no-such-agent.json", "cannot read no-such-agent.json"),
+            ("no-such-agent.npz", "cannot read no-such-agent.json"),
             ("nobody/quadratic", "neither a file nor one of"),
             ("agent.txt", "neither a file nor one of"),
             ("hold", "'hold' is neither a file nor one of"),

@@ -15,7 +15,7 @@ import typer
 from octoarm_agents.cli.pictures import make_renderer
 from octoarm_agents.cli.watch import watch
 from octoarm_agents.cli.watch_terminal import UPPER_HALF, _Pace, _Show, half_blocks
-from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy, save_network
+from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy
 from octoarm_agents.policies.episode import Episode
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise, Push
@@ -79,9 +79,9 @@ def no_display(monkeypatch):
 def agents(tmp_path_factory):
     """Files of a readout and of a network with memory."""
     folder = tmp_path_factory.mktemp("agents")
-    train_policy(steps=1000).save(folder / "readout.json")
-    save_network(folder / "recurrent.npz", make_recurrent())
-    return {"readout": folder / "readout.json", "recurrent": folder / "recurrent.npz"}
+    train_policy(steps=1000).save(folder / "readout.npz")
+    make_recurrent().save(folder / "recurrent.npz")
+    return {"readout": folder / "readout.npz", "recurrent": folder / "recurrent.npz"}
 
 
 @pytest.fixture
@@ -315,7 +315,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("name", "reason"),
         [
-            ("no-such-agent.json", "cannot read no-such-agent.json"),
+            ("no-such-agent.npz", "cannot read no-such-agent.json"),
             ("nobody/quadratic", "neither a file nor one of"),
             ("agent.txt", "neither a file nor one of"),
         ],

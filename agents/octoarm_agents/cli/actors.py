@@ -13,15 +13,14 @@ from octoarm_agents.cli.options import read_body
 if TYPE_CHECKING:
     import gymnasium as gym
 
+    from octoarm_agents.policies import Policy
     from octoarm_agents.policies.evaluation import Trivial
-    from octoarm_agents.policies.loading import Policy
     from octoarm_env import ArmParameters
 
 __all__ = ["ACTOR_HELP", "Actor", "find_actor"]
 
 ACTOR_HELP = (
-    "File of an agent (.json, .npz), AGENT/TARGET for one that comes along, or clock/TARGET, "
-    "hold/TARGET."
+    "File of an agent (.npz), AGENT/TARGET for one that comes along, or clock/TARGET, hold/TARGET."
 )
 
 
@@ -70,7 +69,7 @@ def find_actor(name: str, arm: Path | None) -> Actor:
         if name in trivial:
             kind, target = trivial[name]
             return Actor(name, kind, read_body(arm), {"target": target})
-        if name not in trained and file.suffix not in (".json", ".npz"):
+        if name not in trained and file.suffix != ".npz":
             known = ", ".join((*trained, *trivial))
             raise typer.BadParameter(f"{name!r} is neither a file nor one of {known}.")
         file = trained.get(name, file)

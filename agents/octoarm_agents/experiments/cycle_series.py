@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.reservoir.orbit import turn_time
+from octoarm_agents.common.orbit import turn_time
 
 __all__ = ["SHOWN_EVERY", "align_orbit", "excerpt", "phase_shift"]
 

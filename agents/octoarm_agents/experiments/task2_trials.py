@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.experiments.cycle_series import align_orbit, excerpt, phase_shift
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
@@ -25,7 +26,6 @@ from octoarm_agents.reservoir.closed_loop import (
     release,
     score_window,
 )
-from octoarm_agents.reservoir.orbit import orbit_distance
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import gymnasium as gym
 import numpy as np
 
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Acting, HoldPolicy, Noise, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
@@ -28,6 +27,18 @@ Trivial = Literal["hold", "clock"]
 
 TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
 """All of these."""
+
+
+class Home(Protocol):
+    """Where an agent belongs; `octoarm_agents.policies.Policy` has its own."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        """The body."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The environment's, `octoarm_agents.common.environment.SETTINGS`."""
 
 
 def acting(policy: Acting | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Acting:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.policies.rollout import Rollout
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 
 __all__ = ["ON_ORBIT", "orbit_measures", "orbit_series", "recovery", "tracking_measures"]
 

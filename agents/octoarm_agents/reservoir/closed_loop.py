@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [

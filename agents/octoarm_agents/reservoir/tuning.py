@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
