@@ -870,7 +870,7 @@ class TestOptions:
     @pytest.mark.parametrize(
         ("name", "reason"),
         [
-            ("no-such-agent.npz", "cannot read no-such-agent.json"),
+            ("no-such-agent.npz", "cannot read no-such-agent.npz"),
             ("nobody/quadratic", "neither a file nor one of"),
             ("agent.txt", "neither a file nor one of"),
             ("hold", "'hold' is neither a file nor one of"),

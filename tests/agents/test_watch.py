@@ -315,7 +315,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("name", "reason"),
         [
-            ("no-such-agent.npz", "cannot read no-such-agent.json"),
+            ("no-such-agent.npz", "cannot read no-such-agent.npz"),
             ("nobody/quadratic", "neither a file nor one of"),
             ("agent.txt", "neither a file nor one of"),
         ],
