@@ -1,4 +1,4 @@
-"""Network policies: what they compute, their files, and what is refused."""
+"""Policies: what their networks compute, their files, and what is refused."""
 
 from __future__ import annotations
 
@@ -12,15 +12,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from octoarm_agents.policies import (
-    Lstm,
-    Network,
-    NetworkPolicy,
-    load_network,
-    load_policy,
-    save_network,
-)
-from octoarm_agents.reservoir import train_policy
+from octoarm_agents.policies import Lstm, Network, Policy, load_policy
+from octoarm_agents.reservoir import Readout, readout_network
 
 from octoarm_env import ArmParameters
 
@@ -61,8 +54,8 @@ def make_network(
     return Network(**(fields | changes))
 
 
-def make_policy(network: Network | None = None, **settings: Any) -> NetworkPolicy:
-    return NetworkPolicy(
+def make_policy(network: Network | None = None, **settings: Any) -> Policy:
+    return Policy(
         network or make_network(), "ppo", ArmParameters(), SETTINGS | settings, {"steps": 10}, 3
     )
 
@@ -150,18 +143,17 @@ def test_bad_observations(observation: np.ndarray, message: str) -> None:
 
 def test_a_policy_fits_its_body() -> None:
     with pytest.raises(ValueError, match="80 lengths, the body has 40 springs"):
-        NetworkPolicy(make_network(), "ppo", ArmParameters(compartments=10), SETTINGS)
+        Policy(make_network(), "ppo", ArmParameters(compartments=10), SETTINGS)
     with pytest.raises(ValueError, match="settings holds"):
-        NetworkPolicy(make_network(), "ppo", ArmParameters(), {"target": "quadratic"})
+        Policy(make_network(), "ppo", ArmParameters(), {"target": "quadratic"})
 
 
 @pytest.mark.parametrize("memory", [0, 5])
 def test_file_round_trip(tmp_path: Path, memory: int) -> None:
     policy = make_policy(make_network((8,), memory=memory))
-    save_network(tmp_path / "policy.npz", policy)
+    policy.save(tmp_path / "policy.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["policy.npz"]
     loaded = load_policy(tmp_path / "policy.npz")
-    assert isinstance(loaded, NetworkPolicy)
     assert (loaded.algorithm, loaded.seed, loaded.training) == ("ppo", 3, {"steps": 10})
     assert loaded.settings == policy.settings
     assert loaded.parameters == policy.parameters
@@ -211,16 +203,16 @@ def rewrite(path: Path, **changes: Any) -> None:
 )
 def test_damaged_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     path = tmp_path / "policy.npz"
-    save_network(path, make_policy())
+    make_policy().save(path)
     rewrite(path, **changes)
     with pytest.raises(ValueError, match=message) as caught:
-        load_network(path)
+        load_policy(path)
     assert str(path) in str(caught.value)
 
 
 def test_cut_and_foreign_files(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
-    save_network(path, make_policy())
+    make_policy().save(path)
     whole = path.read_bytes()
     # Wherever it is cut, and whatever else it is.
     for content in (b"", b"PK", whole[:100], whole[: len(whole) // 2], whole[:-1], b"no archive"):
@@ -232,13 +224,74 @@ def test_cut_and_foreign_files(tmp_path: Path) -> None:
         load_policy(path)
     with pytest.raises(FileNotFoundError):
         load_policy(tmp_path / "missing.npz")
-    with pytest.raises(ValueError, match=r"expected a file of a readout \(.json\)"):
-        load_policy(tmp_path / "model.zip")
+    (tmp_path / "readout.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"readout.json: readouts in JSON .* teach it again"):
+        load_policy(tmp_path / "readout.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("policy.json", {}, r"expected a name that ends in \.npz"),
+        ("policy.npz", {"steps": float("nan")}, "cannot be written as JSON"),
+        ("policy.npz", {"seeds": np.ones(2)}, "cannot be written as JSON"),
+    ],
+)
+def test_what_cannot_be_saved_leaves_the_old_file(
+    tmp_path: Path, name: str, changes: dict[str, Any], message: str
+) -> None:
+    (tmp_path / name).write_bytes(b"old")
+    policy = make_policy()
+    policy.training |= changes
+    with pytest.raises(ValueError, match=message):
+        policy.save(tmp_path / name)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+def test_networks_of_before_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    make_policy().save(path)
+    rewrite(path, format="octoarm-network")
+    np.testing.assert_array_equal(
+        load_policy(path).predict(lengths())[0], make_policy().predict(lengths())[0]
+    )
+
+
+@pytest.mark.parametrize("bias", [False, True])
+def test_a_readout_acts_in_double_precision(tmp_path: Path, bias: bool) -> None:
+    """Its weights are large and cancel each other, in the order of summation that they have."""
+    random = np.random.default_rng(2)
+    # Springs that move together, a billionth of their length apart.
+    seen = 0.02 + 1e-3 * random.normal(size=(500, 1)) + 1e-10 * random.normal(size=(500, SPRINGS))
+    targets = 0.5 * np.tanh(1e10 * (seen[:, :2] - seen[:, 2:4]))
+    readout = Readout(bias=bias).fit(seen, targets)
+    assert np.abs(readout.weights_).max() > 1e8
+    policy = Policy(readout_network(readout), "readout", ArmParameters(), SETTINGS)
+    assert policy.parameter_count == 160 + 2 * bias
+    expected = np.clip(seen @ readout.weights_[:80] + readout.weights_[80:].sum(axis=0), -1, 1)
+    policy.save(tmp_path / "policy.npz")
+    for each in (policy, load_policy(tmp_path / "policy.npz")):
+        actions, state = each.predict(seen, ("state",))
+        np.testing.assert_array_equal(actions, expected.astype(np.float32))
+        np.testing.assert_allclose(each.predict(seen[0])[0], actions[0], atol=1e-4)
+        assert state == ("state",)
+
+
+@pytest.mark.parametrize(
+    ("readout", "message"),
+    [
+        (Readout(), "readout is not fitted"),
+        (Readout().fit(np.ones((9, 80)), np.ones((9, 3))), "layers lead to 3 outputs, expected 2"),
+    ],
+)
+def test_other_readouts_are_no_policies(readout: Readout, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        readout_network(readout)
 
 
 def test_no_pickle_is_read(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
-    save_network(path, make_policy())
+    make_policy().save(path)
     with np.load(path) as archive:
         arrays = {name: archive[name] for name in archive.files}
     arrays["mean"] = np.array([object()], dtype=object)
@@ -249,34 +302,45 @@ def test_no_pickle_is_read(tmp_path: Path) -> None:
 
 def test_other_environments_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
-    save_network(path, make_policy())
-    load_policy(path, gym.make("OctoArm-v0"))
-    with pytest.raises(ValueError, match="target is 'quadratic' in the file and 'lissajous'"):
-        load_policy(path, gym.make("OctoArm-v0", target="lissajous"))
-    with pytest.raises(ValueError, match="another body: arm_density"):
-        load_policy(path, gym.make("OctoArm-v0", arm=ArmParameters(arm_density=1100.0)))
+    env = gym.make("OctoArm-v0", reward_width=0.1, max_episode_steps=50)
+    # Rewards and the length of episodes may differ; the default amplitude is that of the file.
+    make_policy().save(path)
+    load_policy(path, gym.wrappers.ClipAction(env))
     with pytest.raises(ValueError, match=r"observations .*expected the spring lengths"):
-        load_policy(path, gym.wrappers.FrameStackObservation(gym.make("OctoArm-v0"), 2))
+        load_policy(path, gym.wrappers.FrameStackObservation(env, 2))
     with pytest.raises(TypeError, match="OctoArm-v0"):
         load_policy(path, gym.make("Pendulum-v1"))
-    with pytest.raises(ValueError, match="control_period is 0.01 in the file and 0.02"):
-        load_policy(path, settings={"control_period": 0.02})
+    make_policy(target="lissajous", amplitude=10.0).save(path)
+    with pytest.raises(
+        ValueError, match="target is 'lissajous' in the file and 'quadratic' where.* amplitude is"
+    ) as caught:
+        load_policy(path, env)
+    assert str(path) in str(caught.value)
+    rewrite(path, body=ArmParameters(arm_density=1100.0).to_dict())
+    with pytest.raises(ValueError, match=r"another body: arm_density is 1100\.0 in the file and"):
+        load_policy(path, env)
 
 
-def test_readouts_load_alike(tmp_path: Path) -> None:
-    policy = train_policy(steps=600)
-    policy.save(tmp_path / "readout.json")
-    loaded = load_policy(tmp_path / "readout.json", gym.make("OctoArm-v0"))
-    np.testing.assert_array_equal(policy.predict(lengths(3))[0], loaded.predict(lengths(3))[0])
-    assert loaded.parameter_count == 160
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("control_period", 0.02, "control_period is 0.01 in the file and 0.02 where"),
+        ("actuator", "servo", "actuator is 'direct' in the file and 'servo' where"),
+        ("action_range", 22.0, r"environment: action_range is 117\.0 in the file and 22\.0 where"),
+    ],
+)
+def test_other_settings_are_refused(tmp_path: Path, name: str, value: Any, message: str) -> None:
+    make_policy().save(tmp_path / "policy.npz")
+    with pytest.raises(ValueError, match=message):
+        load_policy(tmp_path / "policy.npz", settings={name: value})
 
 
-def test_networks_act_without_torch(tmp_path: Path) -> None:
-    save_network(tmp_path / "policy.npz", make_policy())
+def test_policies_act_without_what_trained_them(tmp_path: Path) -> None:
+    make_policy().save(tmp_path / "policy.npz")
     code = (
         "import sys, numpy; from octoarm_agents.policies import load_policy;"
         f"load_policy({str(tmp_path / 'policy.npz')!r}).predict(numpy.full(80, 0.02));"
-        "print('torch' in sys.modules)"
+        "print({'torch', 'sklearn'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    assert done.stdout.strip() == "set()"

@@ -1,4 +1,4 @@
-"""The readout as a scikit-learn regressor: its three fits, bias, penalty, washout, refusals."""
+"""The readout as a scikit-learn regressor: its three fits, bias, penalty, refusals."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def recording(rows=500, springs=8, outputs=2, seed=1):
         Readout(bias=True),
         Readout("ridge", ridge=1e-3),
         Readout("noise", noise=1e-2),
-        Readout("noise", noise=1e-2, sampled=True, bias=True, random_state=0),
+        Readout("noise", noise=1e-2, bias=True),
     ]
 )
 def test_it_is_a_scikit_learn_regressor(estimator, check):
@@ -42,8 +42,6 @@ def test_the_method_is_searched_together_with_what_only_some_methods_use():
         "method": ["pinv", "ridge", "noise"],
         "ridge": [0.0, 1e3],
         "noise": [0.0, 1e-1],
-        "sampled": [False, True],
-        "random_state": [0],
     }
     search = GridSearchCV(Readout(), grid, cv=TimeSeriesSplit(3), error_score="raise")
     found = search.fit(lengths, targets).cv_results_
@@ -51,19 +49,19 @@ def test_the_method_is_searched_together_with_what_only_some_methods_use():
     for parameters, score in zip(found["params"], found["mean_test_score"], strict=True):
         assert np.isfinite(score)
         scores[parameters["method"]].add(round(score, 12))
-    # Noise of no width is the pseudo-inverse, drawn or not.
+    # Noise of no width is the pseudo-inverse.
     assert {method: len(found) for method, found in scores.items()} == {
         "pinv": 1,
         "ridge": 2,
-        "noise": 3,
+        "noise": 2,
     }
 
 
 @pytest.mark.parametrize(
     ("method", "unused"),
     [
-        ("pinv", {"ridge": 1e3, "noise": 1e-1, "sampled": True}),
-        ("ridge", {"noise": 1e-1, "sampled": True}),
+        ("pinv", {"ridge": 1e3, "noise": 1e-1}),
+        ("ridge", {"noise": 1e-1}),
         ("noise", {"ridge": 1e3}),
     ],
 )
@@ -147,29 +145,17 @@ class TestNoise:
     def test_it_is_that_of_many_noisy_rows(self):
         lengths, targets = recording(rows=400, springs=6)
         noise, copies = 1e-3, 1000
-        many = np.tile(lengths, (copies, 1)), np.tile(targets, (copies, 1))
-        drawn = Readout("noise", noise=noise, sampled=True, random_state=2).fit(*many).weights_
+        many = np.tile(lengths, (copies, 1))
+        many += np.random.default_rng(2).uniform(-noise, noise, many.shape)
+        drawn = Readout().fit(many, np.tile(targets, (copies, 1))).weights_
         expected = Readout("noise", noise=noise).fit(lengths, targets).weights_
         # Drawn noise leaves an error of the order 1/sqrt(400,000 rows).
         assert np.abs(drawn - expected).max() < 0.01 * np.abs(expected).max()
         assert np.abs(expected - Readout().fit(lengths, targets).weights_).max() > 50
 
-    def test_what_is_drawn_is_the_seeds(self):
-        lengths, targets = recording()
-
-        def fit(random_state):
-            readout = Readout("noise", noise=1e-3, sampled=True, random_state=random_state)
-            return readout.fit(lengths, targets).weights_
-
-        np.testing.assert_array_equal(fit(5), fit(5))
-        np.testing.assert_array_equal(fit(5), fit(np.random.default_rng(5)))
-        assert not np.array_equal(fit(5), fit(6))
-        noise = np.random.default_rng(5).uniform(-1e-3, 1e-3, lengths.shape)
-        np.testing.assert_allclose(fit(5), np.linalg.pinv(lengths + noise) @ targets, atol=1e-9)
-
     def test_the_training_error_is_without_it(self):
         lengths, targets = recording()
-        readout = Readout("noise", noise=1e-3, sampled=True, random_state=0).fit(lengths, targets)
+        readout = Readout("noise", noise=1e-3).fit(lengths, targets)
         errors = np.linalg.norm(targets - lengths @ readout.weights_, axis=1)
         assert readout.training_error_ == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-12)
 
@@ -239,52 +225,6 @@ class TestPenalty:
         assert bound.training_error_ > free.training_error_
 
 
-class TestSequences:
-    def test_the_washout_is_dropped_from_each(self):
-        lengths, targets = recording(rows=600)
-        parts = np.split(lengths, [100, 350]), np.split(targets, [100, 350])
-        kept = np.r_[30:100, 130:350, 380:600]
-        expected = Readout("noise", noise=1e-4).fit(lengths[kept], targets[kept])
-        found = Readout("noise", noise=1e-4, washout=30).fit_sequences(*parts)
-        np.testing.assert_array_equal(found.weights_, expected.weights_)
-        assert found.training_error_ == expected.training_error_
-
-    def test_fit_drops_it_once(self):
-        lengths, targets = recording()
-        expected = Readout().fit(lengths[30:], targets[30:])
-        np.testing.assert_array_equal(
-            Readout(washout=30).fit(lengths, targets).weights_, expected.weights_
-        )
-
-    def test_the_penalty_is_taken_once(self):
-        lengths, targets = recording()
-        penalty = np.eye(8)
-        np.testing.assert_array_equal(
-            Readout().fit_sequences(np.split(lengths, 2), np.split(targets, 2), penalty).weights_,
-            Readout().fit(lengths, targets, penalty).weights_,
-        )
-
-    @pytest.mark.parametrize(
-        ("shapes", "message"),
-        [
-            ([], "0 sequences"),
-            ([((50, 8), (50, 2)), ((50, 7), (50, 2))], r"sequence 1.*\(7,\).*\(8,\)"),
-            ([((50, 8), (50, 2)), ((50, 8), (50,))], "sequence 1"),
-            ([((50, 8), (50, 2)), ((50, 8), (49, 2))], r"sequence 1: .*\[50, 49\]"),
-            ([((50, 8), (50, 2)), ((10, 8), (10, 2))], r"X\[1\] has 10 rows.*washout of 10"),
-        ],
-    )
-    def test_sequences_that_do_not_fit_together_are_named(self, shapes, message):
-        lengths = [np.ones(shape) for shape, _ in shapes]
-        targets = [np.ones(shape) for _, shape in shapes]
-        with pytest.raises(ValueError, match=message):
-            Readout(washout=10).fit_sequences(lengths, targets)
-
-    def test_as_many_targets_as_lengths(self):
-        with pytest.raises(ValueError, match="2 sequences and y 1"):
-            Readout().fit_sequences([np.ones((9, 2))] * 2, [np.ones(9)])
-
-
 @pytest.mark.parametrize("bias", [False, True])
 def test_one_dimensional_targets_are_answered_in_kind(bias):
     lengths, targets = recording()
@@ -322,11 +262,7 @@ def test_the_weights_are_what_the_closed_loop_takes(bias):
         ({"method": "ridge", "ridge": np.inf}, "ridge = inf.*finite"),
         ({"tolerance": 1.0}, r"tolerance = 1.0.*\[0, 1\)"),
         ({"tolerance": np.nan}, "tolerance = nan"),
-        ({"washout": -1}, "washout = -1"),
-        ({"washout": 2.5}, "washout = 2.5"),
-        ({"washout": 50}, "X has 50 rows.*washout of 50"),
         ({"method": "pinv", "ridge": -1.0}, "ridge = -1.0.*not negative"),
-        ({"method": "noise", "sampled": True, "random_state": -1}, "random_state = -1"),
     ],
 )
 def test_a_bad_parameter_is_named(arguments, message):

@@ -352,7 +352,7 @@ class TestCourse:
         assert len(made) == 125
 
     def test_the_time_is_that_of_the_control_period(self, tmp_path):
-        policy = tmp_path / "slow.json"
+        policy = tmp_path / "slow.npz"
         train_policy({"control_period": 0.02}, steps=200).save(policy)
         episode = make_episode(policy, steps=12)
         assert list(film.film_frames(episode, Steps(), fps=50.0, speed=1.0)) == list(range(13))

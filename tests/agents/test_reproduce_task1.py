@@ -7,7 +7,6 @@ import pytest
 from octoarm_agents.common.intervals import bootstrap_interval, summarise, welch_p_value
 from octoarm_agents.common.trials import run_trials
 from octoarm_agents.experiments import EXPERIMENTS, figure5a
-from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
 from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
@@ -25,6 +24,7 @@ from octoarm_agents.experiments.emulation.trials import (
     record_trials,
     score_arm,
 )
+from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
 from octoarm_agents.reservoir.baselines import linear
 from octoarm_agents.reservoir.readout import Readout
 from PIL import Image

@@ -7,12 +7,6 @@ import numpy as np
 import pytest
 from octoarm_agents.experiments import figure11, figure12, figure13, floquet, limit_cycles, task2
 from octoarm_agents.experiments.cycle_series import align_orbit, phase_shift
-from octoarm_agents.reservoir.cycles import (
-    CYCLES,
-    PAPER_BURSTS,
-    PAPER_FINDINGS,
-    TRAININGS,
-)
 from octoarm_agents.experiments.cycles.floquet_trials import (
     is_stable,
     is_thrown_far,
@@ -26,6 +20,12 @@ from octoarm_agents.experiments.task2_trials import (
     hold_cycle,
     nudge_cycle,
     teach_cycle,
+)
+from octoarm_agents.reservoir.cycles import (
+    CYCLES,
+    PAPER_BURSTS,
+    PAPER_FINDINGS,
+    TRAININGS,
 )
 from octoarm_agents.reservoir.teaching import Teaching
 from PIL import Image

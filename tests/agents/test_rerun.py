@@ -10,7 +10,7 @@ import pytest
 import rerun as rr
 from episodes import SMALL, make_episode, play, write_headstand
 from octoarm_agents.cli import watch as command
-from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.viewing import rerun_streams, rerun_viewers
 
 from octoarm_env import ArmParameters

@@ -14,7 +14,7 @@ import pytest
 from episodes import interrupt_at, make_episode, play, write_headstand
 from octoarm_agents.cli import app
 from octoarm_agents.cli.policy_names import find_policy
-from octoarm_agents.policies import Lstm, Network, NetworkPolicy, load_policy, save_network
+from octoarm_agents.policies import Lstm, Network, Policy, load_policy
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise, Push
 from octoarm_agents.reservoir import train_policy
@@ -62,7 +62,7 @@ def make_recurrent():
         output="tanh",
         lstm=Lstm(draw(64, 80), draw(64, 16), draw(64)),
     )
-    return NetworkPolicy(network, "random", ArmParameters(), settings)
+    return Policy(network, "random", ArmParameters(), settings)
 
 
 @pytest.fixture(autouse=True)
@@ -76,9 +76,9 @@ def no_display(monkeypatch):
 def agents(tmp_path_factory):
     """Files of a readout and of a network with memory."""
     folder = tmp_path_factory.mktemp("agents")
-    train_policy(steps=1000).save(folder / "readout.json")
-    save_network(folder / "recurrent.npz", make_recurrent())
-    return {"readout": folder / "readout.json", "recurrent": folder / "recurrent.npz"}
+    train_policy(steps=1000).save(folder / "readout.npz")
+    make_recurrent().save(folder / "recurrent.npz")
+    return {"readout": folder / "readout.npz", "recurrent": folder / "recurrent.npz"}
 
 
 @pytest.fixture
@@ -176,8 +176,8 @@ class TestEpisode:
 
     @pytest.mark.parametrize("period", [0.01, 0.02])
     def test_the_push_is_timed_in_seconds_and_shown_while_it_lasts(self, period, tmp_path):
-        train_policy({"control_period": period}, steps=200).save(tmp_path / "a.json")
-        episode = make_episode(tmp_path / "a.json", steps=round(1.4 / period), push=5.0)
+        train_policy({"control_period": period}, steps=200).save(tmp_path / "a.npz")
+        episode = make_episode(tmp_path / "a.npz", steps=round(1.4 / period), push=5.0)
         told = []
         while not episode.ended:
             assert episode.disturbances in ((), ("pushed",))

@@ -20,7 +20,7 @@ from octoarm_agents.experiments.runner import RunSettings
 from octoarm_agents.policies import load_trained
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import HoldPolicy, Noise, Push, roll_out
-from octoarm_agents.reservoir import Readout, train_policy
+from octoarm_agents.reservoir import train_policy
 from octoarm_agents.reservoir.closed_loop import ClosedLoop
 from octoarm_agents.reservoir.inputs import smooth_noise
 from octoarm_agents.reservoir.teaching import Teaching
@@ -45,7 +45,6 @@ CALLS: dict[str, tuple[str, Any]] = {
     "train_policy": ("steps", lambda n: train_policy(steps=n)),
     "Teaching": ("steps", lambda n: Teaching("quadratic", 90.0, 1e-4, steps=n)),
     "Teaching washout": ("washout", lambda n: Teaching("quadratic", 90.0, 1e-4, washout=n)),
-    "Readout": ("washout", lambda n: Readout(washout=n).fit(np.ones((30, 2)), np.ones(30))),
     "ClosedLoop": ("steps", lambda n: ClosedLoop(Arm(), np.zeros((80, 2)), 90.0).run(n)),
     "input": ("steps", lambda n: smooth_noise(n, np.random.default_rng(0))),
     "Training": ("steps", lambda n: Training.make("ppo", "quadratic", steps=n)),

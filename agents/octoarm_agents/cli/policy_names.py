@@ -11,15 +11,14 @@ import typer
 from octoarm_agents.cli.options import read_body, refused
 
 if TYPE_CHECKING:
-    from octoarm_agents.policies import Policy
     from octoarm_agents.policies.evaluation import Trivial
+    from octoarm_agents.policies.rollout import PolicyPredictor
     from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 __all__ = ["POLICY_HELP", "NamedPolicy", "PolicyName", "find_policy"]
 
 POLICY_HELP = (
-    "File of an agent (.json, .npz), AGENT/TARGET for one that comes along, or clock/TARGET, "
-    "hold/TARGET."
+    "File of an agent (.npz), AGENT/TARGET for one that comes along, or clock/TARGET, hold/TARGET."
 )
 PolicyName = Annotated[str, typer.Argument(help=POLICY_HELP, show_default=False)]
 
@@ -36,7 +35,7 @@ class NamedPolicy:
     """
 
     name: str
-    policy: Policy | Trivial
+    policy: PolicyPredictor | Trivial
     parameters: ArmParameters
     settings: dict[str, Any]
 
@@ -70,7 +69,7 @@ def find_policy(name: str, arm: Path | None) -> NamedPolicy:
             home = inspect_env(gym.make(ENV_ID, arm=body, target=target))
         return NamedPolicy(name, kind, *home)
     if not file.exists():
-        if name not in trained and file.suffix not in (".json", ".npz"):
+        if name not in trained and file.suffix != ".npz":
             known = ", ".join((*trained, *trivial))
             raise typer.BadParameter(f"{name!r} is neither a file nor one of {known}.")
         file = trained.get(name, file)

@@ -71,8 +71,7 @@ class Cell:
     @property
     def policy(self) -> Path:
         """File of the agent."""
-        suffix = ".json" if self.agent in READOUTS else ".npz"
-        return self.folder / self.name / f"best{suffix}"
+        return self.folder / self.name / "best.npz"
 
     @property
     def digest(self) -> str:

@@ -21,7 +21,7 @@ from octoarm_agents.common.environment import inspect_env, make_vector_env
 from octoarm_agents.common.files import write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.policies import Network, NetworkPolicy, save_network
+from octoarm_agents.policies import Network, Policy
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.rollout import roll_out
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
@@ -107,7 +107,7 @@ def search_linear(
         if due or last:
             seconds += time.perf_counter() - begun
             network = _network(strategy.mean, mean, scale)
-            policy = NetworkPolicy(
+            policy = Policy(
                 network,
                 "linear_search",
                 parameters,
@@ -120,7 +120,7 @@ def search_linear(
             if best is None or curve[-1]["return"] > best["return"]:
                 best = curve[-1]
                 policy.training["return"] = best["return"]
-                save_network(out / "best.npz", policy)
+                policy.save(out / "best.npz")
             begun = time.perf_counter()
         if last:
             break

@@ -14,7 +14,7 @@ from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
-from octoarm_agents.policies.rollout import Noise, Policy, Push, Rollout, roll_out
+from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 __all__ = [
@@ -108,7 +108,7 @@ def measure_agent(
     """
     del digest
     given = Protocol(**protocol)
-    chosen: Policy | Trivial
+    chosen: PolicyPredictor | Trivial
     if policy is not None:
         chosen = load_policy(policy, settings=settings)
     elif agent in TRIVIAL:
@@ -168,7 +168,7 @@ class _Test:
 
     def __init__(
         self,
-        policy: Policy | Trivial,
+        policy: PolicyPredictor | Trivial,
         parameters: ArmParameters,
         settings: dict[str, Any],
         protocol: Protocol,
@@ -225,7 +225,7 @@ class _Test:
         return {name: found[name] for name in ("orbit_distance", "period")}
 
 
-def inference_time(policy: Policy, springs: int, *, calls: int = 2000) -> float:
+def inference_time(policy: PolicyPredictor, springs: int, *, calls: int = 2000) -> float:
     """Microseconds of a call of `predict` on one observation: the median over calls."""
     lengths = 0.02 + 1e-4 * np.random.default_rng(0).normal(size=springs)
     state, times = None, np.empty(calls)
@@ -237,7 +237,7 @@ def inference_time(policy: Policy, springs: int, *, calls: int = 2000) -> float:
 
 
 def phase_portrait(
-    policy: Policy | Trivial,
+    policy: PolicyPredictor | Trivial,
     parameters: ArmParameters,
     settings: dict[str, Any],
     *,

@@ -443,7 +443,7 @@ def _ship(
         if not own:
             continue
         best = max(own, key=lambda cell: summaries[cell]["best"]["return"])
-        file = folder / target / f"{agent}{best.policy.suffix}"
+        file = folder / target / f"{agent}.npz"
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(best.policy, file)
         entries.append(

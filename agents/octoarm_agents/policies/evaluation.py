@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import gymnasium as gym
 import numpy as np
 
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.policies.loading import Home
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
-from octoarm_agents.policies.rollout import HoldPolicy, Noise, Policy, Push, roll_out
+from octoarm_agents.policies.rollout import HoldPolicy, Noise, PolicyPredictor, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
 __all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
@@ -30,7 +29,21 @@ TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
 """All of these."""
 
 
-def acting(policy: Policy | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]) -> Policy:
+class Home(Protocol):
+    """Where an agent belongs; `octoarm_agents.policies.Policy` has its own."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        """The body."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The environment's, `octoarm_agents.common.environment.SETTINGS`."""
+
+
+def acting(
+    policy: PolicyPredictor | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]
+) -> PolicyPredictor:
     """Give the agent itself, or one of the trivial ones by name.
 
     Raises:
@@ -46,7 +59,7 @@ def acting(policy: Policy | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any])
 
 
 def evaluate_policy(
-    policy: Policy | Trivial,
+    policy: PolicyPredictor | Trivial,
     home: Home,
     *,
     episodes: int = 32,

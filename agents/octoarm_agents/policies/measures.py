@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.policies.rollout import Rollout
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 
 __all__ = ["ON_ORBIT", "orbit_measures", "orbit_series", "recovery", "tracking_measures"]
 
@@ -16,6 +16,9 @@ Float = NDArray[np.float64]
 
 ON_ORBIT = 0.1
 """Distance from the target orbit, in amplitudes, within which an arm counts as on it."""
+
+ON_PACE = 0.05
+"""Part by which the period of an arm that holds the orbit may be off."""
 
 
 def tracking_measures(rollout: Rollout) -> dict[str, float]:
@@ -66,8 +69,8 @@ def orbit_measures(
         ``orbit_distance``, the median over episodes of the mean distance in amplitudes (None if no
         arm lasted and swings: one at rest is on every orbit through the origin); ``period``, the
         median time of a turn in periods of the target (None if fewer than half of the arms turn);
-        ``held``, the share of episodes that end with a mean distance below `ON_ORBIT` and a period
-        within 5 %; ``survival``, the share that last.
+        ``held``, the share of episodes that end with a mean distance within `ON_ORBIT` and a period
+        within `ON_PACE`; ``survival``, the share that last.
     """
     distances = orbit_series(rollout, orbit)[-window:].mean(axis=0) / amplitude
     turn = period / control_period
@@ -77,7 +80,7 @@ def orbit_measures(
     lasted = np.isfinite(distances)
     swinging = lasted & _swings(rollout.angles[-window:], orbit)
     turning = swinging & np.isfinite(periods)
-    held = turning & (distances < ON_ORBIT) & (np.abs(periods - 1) < 0.05)
+    held = turning & is_held(distances, periods, distance_limit=ON_ORBIT, period_limit=ON_PACE)
     return {
         "orbit_distance": float(np.median(distances[swinging])) if swinging.any() else None,
         "period": float(np.median(periods[turning])) if turning.mean() >= 0.5 else None,
@@ -105,11 +108,9 @@ def recovery(
         mean reward a step after the disturbance: what the lost phase costs.
     """
     distances = orbit_series(rollout, orbit)[end:] / amplitude
-    far = distances >= ON_ORBIT
-    # Steps until the last one that is far.
-    last = np.where(far.any(axis=0), len(far) - np.argmax(far[::-1], axis=0), 0)
-    recovered = last <= 0.9 * len(far)
-    recovered &= _swings(rollout.angles[-max(len(far) // 10, 1) :], orbit)
+    last = steps_to_return(distances, ON_ORBIT)
+    recovered = last <= 0.9 * len(distances)
+    recovered &= _swings(rollout.angles[-max(len(distances) // 10, 1) :], orbit)
     times = np.where(recovered, last * control_period, np.inf)
     middle = float(np.median(times))
     return {

@@ -1,41 +1,35 @@
-"""A trained network as an agent: its deterministic actor alone, computed with NumPy.
+"""What a policy computes, in NumPy: a normalisation and layers, from spring lengths to an action.
 
 What stable-baselines3 trains holds critics, optimisers and the means to explore. To act takes the
 actor's mean and the normalisation of its input; that much is kept here, needs no PyTorch, and takes
-microseconds.
+microseconds. A linear readout is the least of these networks: one layer, no normalisation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from octoarm_agents.common.environment import SETTINGS
-from octoarm_env import ArmParameters
+__all__ = ["ACTIVATIONS", "OUTPUTS", "Lstm", "Network", "State"]
 
-__all__ = ["ACTIVATIONS", "OUTPUTS", "Lstm", "Network", "NetworkPolicy"]
+Numbers = NDArray[np.floating[Any]]
+State = tuple[Numbers, Numbers]
+"""The memory of n episodes, (hidden, cell), both (n, H)."""
 
-Single = NDArray[np.float32]
-State = tuple[Single, Single]
-
-
-def _relu(values: Single) -> Single:
-    return np.maximum(values, np.float32(0))
-
-
-def _identity(values: Single) -> Single:
-    return values
-
-
-ACTIVATIONS: dict[str, Callable[[Single], Single]] = {"tanh": np.tanh, "relu": _relu}
+ACTIVATIONS: dict[str, Callable[[Numbers], Numbers]] = {
+    "tanh": np.tanh,
+    "relu": lambda values: np.maximum(values, 0),
+}
 """Between the layers."""
 
-OUTPUTS: dict[str, Callable[[Single], Single]] = {"clip": _identity, "tanh": np.tanh}
+OUTPUTS: dict[str, Callable[[Numbers], Numbers]] = {"clip": lambda values: values, "tanh": np.tanh}
 """After the last layer; both end within [-1, 1]."""
+
+_NORMALISATION = ("mean", "scale")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +42,19 @@ class Lstm:
         bias: (4 H,).
     """
 
-    input_weights: Single
-    hidden_weights: Single
-    bias: Single
+    input_weights: Numbers
+    hidden_weights: Numbers
+    bias: Numbers
 
     @property
     def size(self) -> int:
         """H, numbers of memory."""
         return int(self.hidden_weights.shape[1])
 
-    def step(self, inputs: Single, state: State) -> State:
-        """Advance the memory (hidden, cell), both (n, H), by one observation (n, inputs)."""
-        hidden, cell = state
+    def step(self, inputs: Numbers, state: State | None) -> State:
+        """Advance the memory by one observation (n, inputs); None: the memory is still empty."""
+        empty = np.zeros((len(inputs), self.size), self.bias.dtype)
+        hidden, cell = (empty, empty) if state is None else state
         gates = inputs @ self.input_weights.T + hidden @ self.hidden_weights.T + self.bias
         taken, kept, candidate, shown = np.split(gates, 4, axis=1)
         cell = _sigmoid(kept) * cell + _sigmoid(taken) * np.tanh(candidate)
@@ -71,7 +66,9 @@ class Network:
     """From spring lengths to the two entries of an action.
 
     Lengths are normalised, (length - mean) · scale, limited to ±`clip`; then pass the memory, if
-    there is one, and layer after layer.
+    there is one, and layer after layer. From the first layer on the precision is that of its
+    weights: single for a trained network, double for a readout, whose weights are large and cancel
+    each other.
 
     Attributes:
         mean: (springs,) [m], float64.
@@ -86,18 +83,17 @@ class Network:
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
     clip: float
-    layers: tuple[tuple[Single, Single], ...]
-    activation: str
-    output: str
+    layers: tuple[tuple[Numbers, Numbers], ...]
+    activation: str = "tanh"
+    output: str = "clip"
     lstm: Lstm | None = None
 
     def __post_init__(self) -> None:
-        if self.activation not in ACTIVATIONS:
-            raise ValueError(
-                f"activation = {self.activation!r}: expected one of {sorted(ACTIVATIONS)}"
-            )
-        if self.output not in OUTPUTS:
-            raise ValueError(f"output = {self.output!r}: expected one of {sorted(OUTPUTS)}")
+        for name, known in (("activation", ACTIVATIONS), ("output", OUTPUTS)):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)!r}: expected one of {sorted(known)}"
+                )
         if not self.clip > 0:
             raise ValueError(f"clip = {self.clip}: expected a positive number")
         if self.mean.ndim != 1 or self.mean.shape != self.scale.shape:
@@ -105,7 +101,7 @@ class Network:
                 f"mean and scale have shapes {self.mean.shape}, {self.scale.shape}, "
                 "expected (springs,)"
             )
-        width = self.mean.size
+        width = self.springs
         if self.lstm is not None:
             size = self.lstm.size
             shapes = [each.shape for each in vars(self.lstm).values()]
@@ -123,13 +119,7 @@ class Network:
             width = len(weights)
         if width != 2:
             raise ValueError(f"layers lead to {width} outputs, expected 2")
-        arrays: list[NDArray[Any]] = [
-            self.mean,
-            self.scale,
-            *(each for layer in self.layers for each in layer),
-        ]
-        arrays += [] if self.lstm is None else list(vars(self.lstm).values())
-        if not all(np.isfinite(each).all() for each in arrays):
+        if not all(np.isfinite(each).all() for each in self.arrays().values()):
             raise ValueError("the network holds numbers that are not finite")
 
     @property
@@ -139,134 +129,75 @@ class Network:
 
     @property
     def parameter_count(self) -> int:
-        """Trained numbers that the action depends on; the normalisation is not counted."""
-        count = sum(weights.size + bias.size for weights, bias in self.layers)
-        if self.lstm is not None:
-            count += sum(each.size for each in vars(self.lstm).values())
-        return count
+        """Trained numbers that the action depends on.
 
-    def initial_state(self, count: int) -> State | None:
-        """Give the memory at the begin of `count` episodes."""
-        if self.lstm is None:
-            return None
-        shape = (count, self.lstm.size)
-        return np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        Neither the normalisation counts nor what is zero throughout, as a bias that is not there.
+        """
+        trained = (each for name, each in self.arrays().items() if name not in _NORMALISATION)
+        return sum(each.size for each in trained if each.any())
 
     def actions(
         self, lengths: NDArray[np.float64], state: State | None
-    ) -> tuple[Single, State | None]:
+    ) -> tuple[NDArray[np.float32], State | None]:
         """Act on lengths (n, springs) [m]; actions (n, 2) in [-1, 1], and the next memory."""
         normalised = np.clip((lengths - self.mean) * self.scale, -self.clip, self.clip)
-        values = normalised.astype(np.float32)
+        values: Numbers = normalised.astype(self.layers[0][0].dtype)
         if self.lstm is not None:
-            state = self.lstm.step(values, state or _missing())
+            state = self.lstm.step(values, state)
             values = state[0]
-        activation = ACTIVATIONS[self.activation]
         *hidden, (weights, bias) = self.layers
         for hidden_weights, hidden_bias in hidden:
-            values = activation(values @ hidden_weights.T + hidden_bias)
+            values = ACTIVATIONS[self.activation](values @ hidden_weights.T + hidden_bias)
         values = OUTPUTS[self.output](values @ weights.T + bias)
-        return np.clip(values, np.float32(-1), np.float32(1)), state
+        return np.clip(values, -1, 1).astype(np.float32), state
 
+    def arrays(self) -> dict[str, Numbers]:
+        """All its arrays, by their names in a policy's file."""
+        found: dict[str, Numbers] = {"mean": self.mean, "scale": self.scale}
+        for index, (weights, bias) in enumerate(self.layers):
+            found |= {f"weights_{index}": weights, f"bias_{index}": bias}
+        if self.lstm is not None:
+            found |= {f"lstm_{name}": each for name, each in vars(self.lstm).items()}
+        return found
 
-class NetworkPolicy:
-    """Acts by a trained network; signature of a stable-baselines3 policy.
+    def describe(self) -> dict[str, Any]:
+        """What a policy's file must know beside the arrays."""
+        return {
+            "activation": self.activation,
+            "output": self.output,
+            "clip": self.clip,
+            "layers": len(self.layers),
+            "memory": 0 if self.lstm is None else self.lstm.size,
+        }
 
-    Args:
-        network: from the spring lengths to the action.
-        algorithm: what trained it: ``"ppo"``, …
-        parameters: the body it was trained on.
-        settings: the environment it was trained in: `target`, `amplitude` [degrees],
-            `control_period` [s], `actuator` and `action_range` [degrees], as in
-            `octoarm_env.OctoArmEnv`.
-        training: how it was trained, names with plain numbers and texts.
-        seed: of the training.
-
-    Raises:
-        ValueError: a network for another number of springs, or settings that are not these.
-    """
-
-    def __init__(
-        self,
-        network: Network,
-        algorithm: str,
-        parameters: ArmParameters,
-        settings: Mapping[str, Any],
-        training: Mapping[str, Any] | None = None,
-        seed: int | None = None,
-    ) -> None:
-        springs = 4 * parameters.compartments
-        if network.springs != springs:
-            raise ValueError(
-                f"network takes {network.springs} lengths, the body has {springs} springs"
-            )
-        if set(settings) != set(SETTINGS):
-            raise ValueError(f"settings holds {sorted(settings)}, expected {sorted(SETTINGS)}")
-        self.network = network
-        self.algorithm = algorithm
-        self.parameters = parameters
-        self.settings = dict(settings)
-        self.training = dict(training or {})
-        self.seed = seed
-
-    @property
-    def parameter_count(self) -> int:
-        """Trained numbers that the action depends on."""
-        return self.network.parameter_count
-
-    def predict(
-        self,
-        observation: ArrayLike | dict[str, Any],
-        state: Any = None,
-        episode_start: ArrayLike | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Single, Any]:
-        """Act on one observation, or on one of each of n environments.
-
-        Args:
-            observation: spring lengths, (springs,) or (n, springs) [m].
-            state: the memory that the last call gave back; None: an episode begins. Networks
-                without memory give it back as it is.
-            episode_start: which episodes begin now, (n,) bool; their memory is emptied.
-            deterministic: not used, the policy always is.
-
-        Returns:
-            The action, (2,) or (n, 2) float32 in [-1, 1], and the state.
+    @classmethod
+    def restore(cls, description: Mapping[str, Any], arrays: Mapping[str, Any]) -> Network:
+        """Make the network of which `describe` and `arrays` gave these.
 
         Raises:
-            ValueError: an observation of another shape, or with numbers that are not finite.
+            ValueError: something is missing, or does not fit together; the message names it.
         """
-        del deterministic
-        lengths = np.asarray(observation, dtype=np.float64)
-        springs = self.network.springs
-        if lengths.ndim not in (1, 2) or lengths.shape[-1] != springs:
-            raise ValueError(
-                f"observation has shape {lengths.shape}, expected ({springs},) or (n, {springs})"
+        count = description.get("layers")
+        if not isinstance(count, int) or not 0 < count <= 64:
+            raise ValueError(f"network: layers = {count!r}, expected 1 to 64")
+        try:
+            lstm = None
+            if description["memory"]:
+                lstm = Lstm(*(arrays[f"lstm_{field.name}"] for field in fields(Lstm)))
+            return cls(
+                mean=arrays["mean"],
+                scale=arrays["scale"],
+                clip=float(description["clip"]),
+                layers=tuple((arrays[f"weights_{k}"], arrays[f"bias_{k}"]) for k in range(count)),
+                activation=description["activation"],
+                output=description["output"],
+                lstm=lstm,
             )
-        if not np.isfinite(lengths).all():
-            raise ValueError("observation holds numbers that are not finite")
-        rows = np.atleast_2d(lengths)
-        if self.network.lstm is not None:
-            state = self._memory(state, episode_start, len(rows))
-        actions, state = self.network.actions(rows, state)
-        return (actions if lengths.ndim == 2 else actions[0]), state
-
-    def _memory(self, state: Any, episode_start: Any, count: int) -> State | None:
-        if state is None:
-            return self.network.initial_state(count)
-        hidden, cell = state
-        if episode_start is not None:
-            going_on = 1 - np.asarray(episode_start, dtype=np.float32).reshape(-1, 1)
-            hidden, cell = hidden * going_on, cell * going_on
-        return hidden, cell
+        except KeyError as error:
+            raise ValueError(f"{error} is missing") from None
 
 
-def _sigmoid(values: Single) -> Single:
+def _sigmoid(values: Numbers) -> Numbers:
     # Exact like 1 / (1 + exp(-x)), and never overflows.
-    half = np.float32(0.5)
-    result: Single = half * np.tanh(half * values) + half
+    result: Numbers = 0.5 * np.tanh(0.5 * values) + 0.5
     return result
-
-
-def _missing() -> State:
-    raise ValueError("state is None: a network with memory needs its initial_state first")

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from octoarm_agents.common.whole import whole_fields, whole_number
 from octoarm_env import OctoArmVectorEnv
 
-__all__ = ["Episodes", "HoldPolicy", "Noise", "Policy", "Push", "Rollout", "roll_out"]
+__all__ = ["Episodes", "HoldPolicy", "Noise", "PolicyPredictor", "Push", "Rollout", "roll_out"]
 
 Float = NDArray[np.float64]
 
 
-class Policy(Protocol):
-    """Anything that acts as a policy of stable-baselines3 does."""
+class PolicyPredictor(Protocol):
+    """Anything that acts as a policy of stable-baselines3 does, which has the same word for it."""
 
     def predict(
         self,
@@ -150,7 +150,7 @@ class Episodes:
 
     def __init__(
         self,
-        policy: Policy,
+        policy: PolicyPredictor,
         envs: OctoArmVectorEnv,
         *,
         seed: int,
@@ -205,7 +205,7 @@ class Episodes:
 
 
 def roll_out(
-    policy: Policy,
+    policy: PolicyPredictor,
     envs: OctoArmVectorEnv,
     *,
     seed: int,

@@ -1,11 +1,10 @@
 """The body as a reservoir: targets, linear readout, teaching, closed loop (section 2.2)."""
 
+from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release
 from octoarm_agents.reservoir.floquet import floquet_exponents
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
-from octoarm_agents.reservoir.policy import ReadoutPolicy, train_policy
+from octoarm_agents.reservoir.policy import ReadoutPolicy, readout_network, train_policy
 from octoarm_agents.reservoir.readout import Readout
-from octoarm_agents.reservoir.readout_file import SavedReadout, load_readout, save_readout
 from octoarm_agents.reservoir.teaching import Taught, Teaching, teach
 from octoarm_agents.reservoir.tuning import Tuned, tune
 
@@ -13,15 +12,13 @@ __all__ = [
     "ClosedLoop",
     "Readout",
     "ReadoutPolicy",
-    "SavedReadout",
     "Taught",
     "Teaching",
     "Tuned",
     "floquet_exponents",
-    "load_readout",
     "orbit_distance",
+    "readout_network",
     "release",
-    "save_readout",
     "teach",
     "train_policy",
     "tune",

@@ -19,7 +19,6 @@ from octoarm_agents.reservoir.inputs import PEAK
 __all__ = [
     "BASELINES",
     "ESN_SETTINGS",
-    "constant",
     "cubic",
     "delay_features",
     "delayed_polynomial",
@@ -45,11 +44,6 @@ ESN_SETTINGS: dict[str, float] = {
 
 ESN_BIAS = 0.5
 """Size of the nodes' random biases; without them tanh is odd, and no even task can be done."""
-
-
-def constant(signal: Float) -> Float:
-    """The constant alone: the fit is the mean over the training rows. (T, 1)."""
-    return np.ones((len(signal), 1))
 
 
 def linear(signal: Float) -> Float:
@@ -143,7 +137,7 @@ def echo_state_network(
 
 BASELINES: dict[str, Features] = {
     "linear_regressor": lambda signal, random: linear(signal),
-    "mean_predictor": lambda signal, random: constant(signal),
+    "mean_predictor": lambda signal, random: _powers(signal, 0),
     "cubic": lambda signal, random: cubic(signal),
     "delay2": lambda signal, random: delayed_polynomial(signal, 2),
     "delay3": lambda signal, random: delayed_polynomial(signal, 3),

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [
@@ -283,15 +283,14 @@ def score_window(
         distances = orbit_distance(outputs, orbit) / amplitude
     # x2 crosses zero upward once a turn on all three cycles.
     period = turn_time(outputs[:, 1]) / turn
-    mean, ratio = float(distances.mean()), float(np.abs(outputs).max()) / amplitude
+    mean, ratio = distances.mean(), float(np.abs(outputs).max()) / amplitude
+    held = is_held(mean, period, distance_limit=HELD_DISTANCE, period_limit=HELD_PERIOD)
     return {
-        "mean_distance": mean,
+        "mean_distance": float(mean),
         "max_distance": float(distances.max()),
         "period_ratio": period if math.isfinite(period) else None,
         "amplitude_ratio": ratio,
-        "held": mean <= HELD_DISTANCE
-        and abs(period - 1) <= HELD_PERIOD
-        and abs(ratio - 1) <= HELD_AMPLITUDE,
+        "held": bool(abs(ratio - 1) <= HELD_AMPLITUDE and held),
     }
 
 
@@ -302,5 +301,4 @@ def recovery_steps(distances: Float, before: float) -> int:
         distances: (T,), since the burst's end, in units of R.
         before: the largest before the burst, in units of R.
     """
-    outside = np.flatnonzero(distances > max(2 * before, 0.01))
-    return int(outside[-1]) + 1 if len(outside) else 0
+    return int(steps_to_return(distances, max(2 * before, 0.01)))

@@ -22,120 +22,20 @@ at rates that differ by up to 0.1/s, mostly by less than 0.05/s.
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.benettin import stretch_factors
-from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
+from octoarm_agents.reservoir.teacher import POINTS, TeacherRun
 
-__all__ = ["TeacherRun", "floquet_exponents"]
+__all__ = ["floquet_exponents"]
 
 Float = NDArray[np.float64]
 
-_POINTS = 100
-"""Points of a turn at which the step is linearised; between two of them it is taken as constant."""
-
 _CHUNK = 5
 """Steps between two orthonormalisations."""
-
-
-class TeacherRun:
-    """An arm from rest that the teacher forces along a limit cycle, and what its springs say.
-
-    Attributes:
-        parameters: the body.
-        target: name of the limit cycle.
-        amplitude: R, the largest angle of the target [degrees].
-        actuator: ``"direct"`` or ``"servo"``.
-        signal: (steps + 1, 2), the commands; row t+1 is what a readout must give for the lengths of
-            row t [degrees].
-        lengths: (steps, springs), after each step [m].
-        turn: steps of a turn of the target.
-    """
-
-    def __init__(
-        self,
-        parameters: ArmParameters,
-        target: str,
-        amplitude: float,
-        actuator: Literal["direct", "servo"],
-        steps: int,
-    ) -> None:
-        """Force the arm for `steps` physics steps.
-
-        Raises:
-            ValueError: an unknown target or actuator, an amplitude that is not positive.
-            DomainError: the arm cannot follow the teacher.
-        """
-        if target not in LIMIT_CYCLES:
-            raise ValueError(f"target = {target!r}: expected one of {sorted(LIMIT_CYCLES)}")
-        self.parameters = parameters
-        self.target = target
-        self.amplitude = amplitude
-        self.actuator = actuator
-        self.signal = LIMIT_CYCLES[target].signal(steps + 1, amplitude)
-        self.lengths = Arm(parameters, actuator).run(self.signal[:-1])
-        self.turn = LIMIT_CYCLES[target].period / parameters.timestep
-        self._maps: dict[int, tuple[Arm, list[Linearisation]]] = {}
-
-    def arm_after(self, steps: int) -> Arm:
-        """A new arm, forced by the teacher for the first `steps` steps."""
-        arm = Arm(self.parameters, self.actuator)
-        arm.run(self.signal[:steps])
-        return arm
-
-    def maps(self, begin: int, count: int) -> list[Linearisation]:
-        """Linearise the step in the middle of the first of `_POINTS` equal parts of a turn.
-
-        Args:
-            begin: the step at which the turn begins.
-            count: how many parts.
-
-        Returns:
-            The maps, with states in units of `_magnitudes`; they are kept for the next call.
-
-        Raises:
-            DomainError: the arm is at the edge of its domain.
-        """
-        if begin not in self._maps:
-            self._maps[begin] = (self.arm_after(begin), [])
-        # Taken away meanwhile: where it is interrupted, arm and maps would no longer fit together.
-        arm, maps = self._maps.pop(begin)
-        scale = _magnitudes(self.parameters)
-        for point in range(len(maps), count):
-            middle, before = (
-                begin + int((part + 0.5) * self.turn / _POINTS) for part in (point, point - 1)
-            )
-            arm.run(self.signal[max(before, begin) : middle])
-            step = arm.linearise(*self.signal[middle])
-            maps.append(
-                Linearisation(
-                    state=step.state * (scale / scale[:, np.newaxis]),
-                    command=step.command / scale[:, np.newaxis],
-                    lengths=step.lengths * scale,
-                )
-            )
-        self._maps[begin] = arm, maps
-        return maps[:count]
-
-    def offsets(self, weights: Float, begin: int, end: int) -> Float:
-        """What a loop must add to its outputs to follow the teacher from step `begin` to `end`.
-
-        With it, the teacher's orbit is a trajectory of the loop, and the readout acts on deviations
-        from that orbit only.
-
-        Returns:
-            (end - begin, 2) [degrees], a perturbation for `Arm.run_closed_loop`.
-        """
-        springs = self.lengths.shape[1]
-        outputs = self.lengths[begin - 1 : end - 1] @ weights[:springs]
-        if len(weights) > springs:
-            outputs += weights[springs]
-        offsets: Float = self.signal[begin:end] - outputs
-        return offsets
 
 
 def floquet_exponents(
@@ -177,14 +77,14 @@ def floquet_exponents(
     springs = run.lengths.shape[1]
     gains = weights[:springs].T
     with np.errstate(over="ignore", invalid="ignore"):
-        maps = run.maps(begin, min(math.ceil((skip + steps) / run.turn * _POINTS), _POINTS))
+        maps = run.maps(begin, min(math.ceil((skip + steps) / run.turn * POINTS), POINTS))
         loop = [step.state + step.command @ (gains @ step.lengths) for step in maps]
         random = np.random.default_rng(seed)
         directions = np.linalg.qr(random.normal(size=(len(loop[0]), count)))[0]
 
         def carry(deviations: Float, time: int) -> Float:
             # Rounding may carry the end of a turn to the next part.
-            part = min(int(time % run.turn * _POINTS / run.turn), len(loop) - 1)
+            part = min(int(time % run.turn * POINTS / run.turn), len(loop) - 1)
             carried: Float = loop[part] @ deviations
             if not np.isfinite(carried).all():
                 raise ValueError("the gain of the loop is beyond all bounds")
@@ -194,11 +94,3 @@ def floquet_exponents(
         sums = np.log(factors).sum(axis=0)
     exponents: Float = np.sort(sums / (steps * run.parameters.timestep))[::-1]
     return exponents
-
-
-def _magnitudes(parameters: ArmParameters) -> Float:
-    """Natural size of each number of the state, so that deviations of all kinds compare."""
-    joint = np.array([parameters.rest_length, 1.0, 1.0, *[parameters.base_radius] * 4])
-    coordinates = np.tile(joint, parameters.compartments)
-    rate = 15.0  # 1/s, about one turn of the cycles
-    return np.concatenate((coordinates, rate * coordinates, [0.5, 0.5, 8.0, 8.0]))

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, Literal, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
-from sklearn.utils.validation import check_array, check_is_fitted, check_X_y, validate_data
+from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
-from octoarm_agents.common.whole import whole_number
-
-__all__ = ["Readout"]
+__all__ = ["Readout", "noise_ridge"]
 
 Float = NDArray[np.float64]
 Method = Literal["pinv", "ridge", "noise"]
 
 METHODS = ("pinv", "ridge", "noise")
+
+
+def noise_ridge(rows: int, noise: float) -> float:
+    """M ν²/3: what white noise, uniform in [-ν, ν], adds to the diagonal of SᵀS for M rows [m²]."""
+    return rows * noise**2 / 3
 
 
 class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -33,7 +35,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
       paper adds it to the recorded rows (section 2.2.2). On average such noise adds its variance
       ν²/3 to the diagonal of SᵀS for every row, so that the fit is that of ``"ridge"`` with
       M ν²/3. This expectation is used as it stands: nothing is drawn and the fit is the same each
-      time. With `sampled` the noise is really drawn, once, and the pseudo-inverse follows.
+      time.
 
     The paper's readout has no bias. With `bias` one is fitted too; no penalty and no noise acts on
     it. All penalties are taken as they stand, whatever the number of rows.
@@ -47,23 +49,19 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             None: max(M, springs) · eps. A fit without penalty gives no weight to their directions;
             for all methods it decides `rank_`.
         ridge: penalty of method ``"ridge"``, in the unit of a squared length times rows [m²],
-            not negative; the other methods ignore it.
-        noise: ν of method ``"noise"``, half width of the noise [m], not negative; the other methods
-            ignore it.
-        sampled: draw the noise of method ``"noise"``; the other methods ignore it.
+            not negative.
+        noise: ν of method ``"noise"``, half width of the noise [m], not negative.
         bias: fit a bias too.
-        washout: rows dropped at the beginning, of every sequence by `fit_sequences`.
-        random_state: seed (or generator) of the noise drawn; only used with `sampled`.
 
     Attributes:
         weights_: (springs, outputs), or (springs + 1, outputs) with the bias as the last row, in
             the unit of the targets per metre (the bias in that of the targets); with targets in
             degrees, just what `octoarm_env.Arm.run_closed_loop` takes.
-        singular_values_: (springs,), of the lengths, largest first: with the noise drawn and the
-            rows of `penalty`, without their means if there is a bias.
+        singular_values_: (springs,), of the lengths, largest first: with the rows of `penalty`,
+            without their means if there is a bias.
         rank_: how many of them are not zero by `tolerance`.
-        training_error_: root mean square over rows of the residual's norm, without noise and
-            penalties, in the unit of the targets.
+        training_error_: root mean square over rows of the residual's norm, without penalties, in
+            the unit of the targets.
         single_output_: whether the targets were one-dimensional; `predict` answers in kind.
         n_features_in_: number of springs.
         feature_names_in_: (springs,), only after a fit to a data frame with column names.
@@ -76,19 +74,13 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         tolerance: float | None = None,
         ridge: float = 0.0,
         noise: float = 0.0,
-        sampled: bool = False,
         bias: bool = False,
-        washout: int = 0,
-        random_state: int | np.random.Generator | None = None,
     ) -> None:
         self.method = method
         self.tolerance = tolerance
         self.ridge = ridge
         self.noise = noise
-        self.sampled = sampled
         self.bias = bias
-        self.washout = washout
-        self.random_state = random_state
 
     def fit(
         self,
@@ -99,7 +91,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         """Fit the weights.
 
         Args:
-            X: S, (M, springs), lengths [m], in the order of time.
+            X: S, (M, springs), lengths [m].
             y: T, (M, outputs) or (M,); row t is what the readout must give for row t of `X`.
             penalty: P, (K, springs), deviations of the lengths to which the readout must not
                 answer [m]: adds |P W|² to what is made least, as K more rows with target zero would
@@ -110,52 +102,50 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             This readout.
 
         Raises:
-            ValueError: arrays that do not fit together, hold numbers that are not finite, or no row
-                after the washout; a parameter outside its range.
+            ValueError: arrays that do not fit together or hold numbers that are not finite; a
+                parameter outside its range.
         """
         self.check_parameters()
-        lengths, targets = self._after_washout("X", self._validate(X, y))
-        return self._fit(lengths, targets, penalty)
-
-    def fit_sequences(
-        self,
-        X: Sequence[ArrayLike],  # noqa: N803, scikit-learn's name
-        y: Sequence[ArrayLike],
-        penalty: ArrayLike | None = None,
-    ) -> Self:
-        """Fit the weights to several runs at once; the washout is dropped from each.
-
-        Args:
-            X: one (M_i, springs) a run, lengths [m].
-            y: one (M_i, outputs) or (M_i,) a run.
-            penalty: as in `fit`.
-
-        Returns:
-            This readout.
-
-        Raises:
-            ValueError: as `fit`; the message names the run.
-        """
-        self.check_parameters()
-        if len(X) != len(y) or len(X) == 0:
+        lengths, targets = validate_data(
+            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+        )
+        rows, springs = lengths.shape
+        self.single_output_ = targets.ndim == 1
+        targets = targets.reshape(rows, -1).astype(np.float64, copy=False)
+        none = np.empty((0, springs))
+        penalties = none if penalty is None else check_array(penalty, input_name="penalty")
+        if penalties.shape[1] != springs:
             raise ValueError(
-                f"X holds {len(X)} sequences and y {len(y)}: expected as many, and at least one"
+                f"penalty has shape {penalties.shape}: expected (K, {springs}) as X has"
             )
-        runs = []
-        for index, (lengths, targets) in enumerate(zip(X, y, strict=True)):
-            try:
-                run = check_X_y(lengths, targets, multi_output=True, y_numeric=True)
-            except ValueError as error:
-                raise ValueError(f"sequence {index}: {error}") from None
-            runs.append(self._after_washout(f"X[{index}]", run))
-            shapes = [tuple(part.shape[1:] for part in runs[each]) for each in (0, index)]
-            if shapes[0] != shapes[1]:
-                raise ValueError(
-                    f"sequence {index}: its rows of X and y have shapes {shapes[1]}, "
-                    f"those of sequence 0 {shapes[0]}"
-                )
-        joined = (np.concatenate(parts) for parts in zip(*runs, strict=True))
-        return self._fit(*self._validate(*joined), penalty)
+
+        triangle, means = _triangle(lengths, targets, penalties, self.bias)
+        # Singular values of the triangular factor: SᵀS would lose everything below 1e-8 of the
+        # largest.
+        left, singular, right = np.linalg.svd(triangle[:, :springs])
+        eps = float(np.finfo(np.float64).eps)
+        tolerance = max(rows, springs) * eps if self.tolerance is None else self.tolerance
+        # What the means leave of lengths that do not vary is their rounding, not a signal.
+        rounding = springs * eps * float(np.linalg.norm(means[1 : 1 + springs]))
+        kept = singular > max(tolerance * singular[0], rounding)
+        ridge = 0.0
+        if self.method != "pinv":
+            ridge = self.ridge if self.method == "ridge" else noise_ridge(rows, self.noise)
+        if ridge > 0:
+            factors = singular / (singular**2 + ridge)
+        else:
+            factors = np.divide(1.0, singular, out=np.zeros(springs), where=kept)
+        weights = right.T @ (factors[:, np.newaxis] * (left.T @ triangle[:, springs:]))
+        if self.bias:
+            bias = (means[1 + springs :] - means[1 : 1 + springs] @ weights) / means[0]
+            weights = np.vstack((weights, bias))
+
+        self.weights_ = weights
+        self.singular_values_ = singular
+        self.rank_ = int(np.count_nonzero(kept))
+        residuals = targets - self._outputs(lengths)
+        self.training_error_ = math.sqrt(float(np.einsum("to,to->", residuals, residuals)) / rows)
+        return self
 
     def predict(self, X: ArrayLike) -> Float:  # noqa: N803, scikit-learn's name
         """Outputs of the readout.
@@ -167,8 +157,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             (T, outputs), or (T,) after a fit to one-dimensional targets.
         """
         check_is_fitted(self)
-        lengths = validate_data(self, X, dtype=np.float64, reset=False)
-        outputs = self._outputs(lengths)
+        outputs = self._outputs(validate_data(self, X, dtype=np.float64, reset=False))
         return outputs[:, 0] if self.single_output_ else outputs
 
     @property
@@ -195,68 +184,6 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         _check_number("noise", self.noise, "a number of metres, finite and not negative")
         if self.tolerance is not None:
             _check_number("tolerance", self.tolerance, "None or a number in [0, 1)", below=1.0)
-        whole_number("washout", self.washout)
-
-    def _validate(self, lengths: ArrayLike, targets: ArrayLike) -> tuple[Float, Float]:
-        """Both as finite numbers with as many rows; notes the number of springs."""
-        checked: tuple[Float, Float] = validate_data(
-            self, lengths, targets, dtype=np.float64, multi_output=True, y_numeric=True
-        )
-        return checked
-
-    def _after_washout(self, name: str, run: tuple[Float, Float]) -> tuple[Float, Float]:
-        """Lengths and targets without the first `washout` rows."""
-        lengths, targets = run
-        if len(lengths) <= self.washout:
-            raise ValueError(
-                f"{name} has {len(lengths)} rows: expected more than the washout of {self.washout}"
-            )
-        return lengths[self.washout :], targets[self.washout :]
-
-    def _fit(self, lengths: Float, targets: Float, penalty: ArrayLike | None) -> Self:
-        """Fit to valid arrays, the washout already dropped."""
-        rows, springs = lengths.shape
-        self.single_output_ = targets.ndim == 1
-        targets = targets.reshape(rows, -1).astype(np.float64, copy=False)
-        seen, ridge = lengths, 0.0
-        if self.method == "ridge":
-            ridge = float(self.ridge)
-        elif self.method == "noise" and self.sampled:
-            random = self._generator()
-            seen = lengths + random.uniform(-self.noise, self.noise, lengths.shape)
-        elif self.method == "noise":
-            ridge = rows * self.noise**2 / 3
-
-        triangle, means = _triangle(seen, targets, _penalty_rows(penalty, springs), self.bias)
-        # Singular values of the triangular factor: SᵀS would lose everything below 1e-8 of the
-        # largest.
-        left, singular, right = np.linalg.svd(triangle[:, :springs])
-        eps = float(np.finfo(np.float64).eps)
-        tolerance = max(rows, springs) * eps if self.tolerance is None else self.tolerance
-        # What the means leave of lengths that do not vary is their rounding, not a signal.
-        rounding = springs * eps * float(np.linalg.norm(means[1 : 1 + springs]))
-        kept = singular > max(tolerance * singular[0], rounding)
-        if ridge > 0:
-            factors = singular / (singular**2 + ridge)
-        else:
-            factors = np.divide(1.0, singular, out=np.zeros(springs), where=kept)
-        weights = right.T @ (factors[:, np.newaxis] * (left.T @ triangle[:, springs:]))
-        if self.bias:
-            bias = (means[1 + springs :] - means[1 : 1 + springs] @ weights) / means[0]
-            weights = np.vstack((weights, bias))
-
-        self.weights_ = weights
-        self.singular_values_ = singular
-        self.rank_ = int(np.count_nonzero(kept))
-        residuals = targets - self._outputs(lengths)
-        self.training_error_ = math.sqrt(float(np.einsum("to,to->", residuals, residuals)) / rows)
-        return self
-
-    def _generator(self) -> np.random.Generator:
-        try:
-            return np.random.default_rng(self.random_state)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"random_state = {self.random_state!r}: {error}") from None
 
     def _outputs(self, lengths: Float) -> Float:
         springs = lengths.shape[1]
@@ -264,9 +191,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         return outputs + self.weights_[springs] if len(self.weights_) > springs else outputs
 
 
-def _triangle(
-    lengths: Float, targets: Float, penalty: Float | None, bias: bool
-) -> tuple[Float, Float]:
+def _triangle(lengths: Float, targets: Float, penalties: Float, bias: bool) -> tuple[Float, Float]:
     """The least-squares problem in as few rows as it has unknowns, by Householder's QR.
 
     Returns:
@@ -277,12 +202,9 @@ def _triangle(
     # A column of ones first: what is below its row is the problem with the means taken out. The
     # rows of the penalty have a zero there, so that it does not act on the bias.
     columns = (np.ones((rows, 1)), lengths, targets) if bias else (lengths, targets)
-    matrix = np.hstack(columns)
-    first = int(bias)
-    if penalty is not None:
-        more = np.zeros((len(penalty), matrix.shape[1]))
-        more[:, first : first + springs] = penalty
-        matrix = np.vstack((matrix, more))
+    matrix, first = np.hstack(columns), int(bias)
+    after = matrix.shape[1] - first - springs
+    matrix = np.vstack((matrix, np.pad(penalties, ((0, 0), (first, after)))))
     # (NumPy's stubs know only the mode that returns a pair.)
     factor = cast("Float", np.linalg.qr(matrix, mode="r"))
     triangle = np.zeros((springs, matrix.shape[1] - first))
@@ -291,17 +213,7 @@ def _triangle(
     return triangle, factor[0] if bias else np.zeros(1 + matrix.shape[1])
 
 
-def _penalty_rows(penalty: ArrayLike | None, springs: int) -> Float | None:
-    if penalty is None:
-        return None
-    rows: Float = check_array(penalty, dtype=np.float64, input_name="penalty")
-    if rows.shape[1] != springs:
-        raise ValueError(f"penalty has shape {rows.shape}: expected (K, {springs}) as X has")
-    return rows
-
-
 def _check_number(name: str, value: Any, expected: str, below: float = math.inf) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ValueError(f"{name} = {value!r}: expected {expected}")
-    if not 0 <= value < below:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (number and 0 <= value < below):
         raise ValueError(f"{name} = {value!r}: expected {expected}")

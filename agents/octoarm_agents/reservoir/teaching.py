@@ -31,8 +31,9 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.reservoir.floquet import TeacherRun, floquet_exponents
-from octoarm_agents.reservoir.readout import Readout
+from octoarm_agents.reservoir.floquet import floquet_exponents
+from octoarm_agents.reservoir.readout import Readout, noise_ridge
+from octoarm_agents.reservoir.teacher import TeacherRun
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = ["TIME_SCALES", "UNDISTURBED", "Lesson", "Taught", "Teaching", "teach"]
@@ -169,7 +170,7 @@ class Lesson:
 
     def weights(self, noise: float, disturbances: Sequence[float]) -> tuple[Float, float]:
         """Fit quickly: weights (springs, 2) [degrees/m], and the training error [degrees]."""
-        readout = Readout("ridge", ridge=len(self._lengths) * noise**2 / 3)
+        readout = Readout("ridge", ridge=noise_ridge(len(self._lengths), noise))
         readout.fit(self._rows, self._labels, penalty=self._penalty(disturbances))
         weights: Float = readout.weights_
         residual = np.linalg.norm(self._labels - self._rows @ weights)
@@ -178,23 +179,19 @@ class Lesson:
     def teach(self, teaching: Teaching) -> Taught:
         """The same fit from all rows, as an estimator whose errors refer to them."""
         readout = self.fit(teaching)
-        turn = self.run.turn
-        steps = round(_TURNS * turn)
+        steps = round(_TURNS * self.run.turn)
         return Taught(teaching, readout, self.exponents(readout.weights_, steps))
 
     def fit(self, teaching: Teaching) -> Readout:
         """The readout alone; `noise`, `disturbances`, `sampled` and `seed` may differ."""
         noise = teaching.noise
         if teaching.sampled:
-            readout = Readout("pinv")
             random = np.random.default_rng(teaching.seed)
             drawn = random.uniform(-noise, noise, self._lengths.shape)
-            readout.fit(self._lengths + drawn, self._targets)
-        else:
-            readout = Readout("noise", noise=noise) if noise > 0 else Readout("pinv")
-            penalty = self._penalty(teaching.disturbances)
-            readout.fit(self._lengths, self._targets, penalty=penalty)
-        return readout
+            return Readout("pinv").fit(self._lengths + drawn, self._targets)
+        # Without noise this is the pseudo-inverse.
+        penalty = self._penalty(teaching.disturbances)
+        return Readout("noise", noise=noise).fit(self._lengths, self._targets, penalty)
 
     def exponents(self, weights: Float, steps: int = 2_000) -> Float:
         """Leading Floquet exponents [1/s]; empty if the loop leaves the domain within a step.

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
-from octoarm_agents.reservoir.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
@@ -95,20 +95,6 @@ def tune(
     evaluations, seed = whole_number("evaluations", evaluations, 8), whole_number("seed", seed)
     if not (noise >= 0 and math.isfinite(noise)):
         raise ValueError(f"noise = {noise}: expected a number of degrees, not negative")
-    # Sums split over threads are rounded otherwise, and the search would take another way.
-    with threadpool_limits(1):
-        return _search(
-            _Judge(Lesson(parameters, teaching), noise), teaching, evaluations, seed, advance
-        )
-
-
-def _search(
-    judge: _Judge,
-    teaching: Teaching,
-    evaluations: int,
-    seed: int,
-    advance: Callable[[], None] | None,
-) -> Tuned:
     import cma
 
     random = np.random.default_rng(seed)
@@ -125,15 +111,18 @@ def _search(
         },
     )
     record: list[dict[str, Any]] = []
-    while len(record) < evaluations:
-        candidates = search.ask()
-        results = []
-        for candidate in candidates:
-            results.append(judge.judge(10.0 ** np.asarray(candidate)))
-            if advance is not None and len(record) + len(results) <= evaluations:
-                advance()
-        record += results
-        search.tell(candidates, [result["score"] for result in results])
+    # Sums split over threads are rounded otherwise, and the search would take another way.
+    with threadpool_limits(1):
+        judge = _Judge(Lesson(parameters, teaching), noise)
+        while len(record) < evaluations:
+            candidates = search.ask()
+            results = []
+            for candidate in candidates:
+                results.append(judge.judge(10.0 ** np.asarray(candidate)))
+                if advance is not None and len(record) + len(results) <= evaluations:
+                    advance()
+            record += results
+            search.tell(candidates, [result["score"] for result in results])
     best = min(record[:evaluations], key=lambda result: float(result["score"]))
     found = replace(teaching, noise=best["noise"], disturbances=tuple(best["disturbances"]))
     return Tuned(found, best["distance"], record[:evaluations])

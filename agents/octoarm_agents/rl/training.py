@@ -22,8 +22,7 @@ from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
-from octoarm_agents.policies.network import NetworkPolicy
-from octoarm_agents.policies.network_file import save_network
+from octoarm_agents.policies.policy import Policy
 from octoarm_agents.policies.rollout import roll_out
 from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
@@ -239,14 +238,14 @@ class _Run:
         """Seconds of training, evaluations not counted."""
         return self.seconds + time.perf_counter() - self.begun
 
-    def policy(self) -> NetworkPolicy:
+    def policy(self) -> Policy:
         training = {
             **_plain(self.training),
             "trained_steps": self.model.num_timesteps,
             "command": self.command,
             "extended": self.extended,
         }
-        return NetworkPolicy(
+        return Policy(
             export_network(self.model, self.envs),
             self.training.algorithm,
             self.parameters,
@@ -271,14 +270,14 @@ class _Run:
         if self.best is None or point["return"] > self.best["return"]:
             self.best = point
             policy.training["return"] = point["return"]
-            save_network(self.out / "best.npz", policy)
+            policy.save(self.out / "best.npz")
         self.model.logger.record("eval/return", point["return"])
         self.begun = time.perf_counter()
 
     def finish(self) -> dict[str, Any]:
         policy = self.policy()
         policy.training["return"] = self.curve[-1]["return"]
-        save_network(self.out / "final.npz", policy)
+        policy.save(self.out / "final.npz")
         write_atomically(self.out / "final_model.zip", self.model.save)
         write_atomically(self.out / "vecnormalize.pkl", lambda file: self.envs.save(str(file)))
         summary = self.summary()

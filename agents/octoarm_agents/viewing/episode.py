@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.policies.evaluation import Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
-from octoarm_agents.policies.rollout import Episodes, Noise, Policy, Push
+from octoarm_agents.policies.rollout import Episodes, Noise, PolicyPredictor, Push
 from octoarm_env import OctoArmVectorEnv
 from octoarm_env.rendering import Camera
 from octoarm_env.rendering.history import History
@@ -45,7 +45,7 @@ class Episode(Episodes):
 
     def __init__(
         self,
-        policy: Policy | Trivial,
+        policy: PolicyPredictor | Trivial,
         envs: OctoArmVectorEnv,
         *,
         seed: int,

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from octoarm_agents.common.environment import SETTINGS
 from octoarm_agents.common.files import atomic_file
-from octoarm_agents.reservoir.orbit import orbit_distance
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.viewing.episode import Episode
 from octoarm_agents.viewing.rerun_layout import layout
 from octoarm_env import ArmParameters

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.experiments.cycles.trials import TaughtLoop, hold_cycle
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
-from octoarm_agents.reservoir.floquet import TeacherRun
+from octoarm_agents.reservoir.teacher import TeacherRun
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import ArmParameters, DomainError
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import turn_time
 from octoarm_agents.experiments.runner import round_numbers
-from octoarm_agents.reservoir.orbit import turn_time
 
 __all__ = ["align_orbit", "excerpt", "phase_shift"]
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.experiments.cycles.series import align_orbit, excerpt, phase_shift
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
@@ -26,7 +27,6 @@ from octoarm_agents.reservoir.closed_loop import (
     release,
     score_window,
 )
-from octoarm_agents.reservoir.orbit import orbit_distance
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 

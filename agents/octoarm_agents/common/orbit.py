@@ -1,11 +1,11 @@
-"""How far a trajectory is from an orbit, and how fast it turns."""
+"""How far a trajectory is from an orbit, how fast it turns; whether it holds it, and since when."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["orbit_distance", "turn_time"]
+__all__ = ["is_held", "orbit_distance", "steps_to_return", "turn_time"]
 
 Float = NDArray[np.float64]
 
@@ -74,3 +74,28 @@ def turn_time(signal: Float) -> float:
         return float("nan")
     crossings = ups - signal[ups] / (signal[ups + 1] - signal[ups])
     return float(crossings[-1] - crossings[0]) / (len(crossings) - 1)
+
+
+def is_held(
+    distance: Float | float, period: Float | float, *, distance_limit: float, period_limit: float
+) -> NDArray[np.bool_]:
+    """Whether arms hold a cycle: near its orbit, and turning at its pace.
+
+    An arm at rest is near every orbit through the origin: how far it swings must be asked too.
+
+    Args:
+        distance: mean distance from the orbit, in amplitudes; infinite where an arm was lost.
+        period: time of a turn in periods of the target; NaN where an arm does not turn.
+        distance_limit: largest distance.
+        period_limit: part by which the period may be off.
+    """
+    held: NDArray[np.bool_] = (distance <= distance_limit) & (np.abs(period - 1) <= period_limit)
+    return held
+
+
+def steps_to_return(distances: Float, limit: float) -> NDArray[np.int_]:
+    """Steps until distances (T, …) stay within a limit; T where the last one is beyond it."""
+    outside = distances > limit
+    if len(outside) == 0:
+        return np.zeros(outside.shape[1:], dtype=int)
+    return np.where(outside.any(axis=0), len(outside) - np.argmax(outside[::-1], axis=0), 0)
