@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,8 +12,6 @@ from octoarm_env.rendering.history import History
 from octoarm_env.rendering.panels import Panels, status_lines
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import draw_water
-
-__all__ = ["Renderer", "Sheet"]
 
 Float = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -81,13 +77,12 @@ class Renderer:
         self.notes: tuple[str, ...] = ()
         """More lines among the figures."""
         self._parameters, self._orbit, self._range = parameters, orbit, action_range
-        self._sheet = sheet or Sheet(self.size)
-        self._fine = self._sheet.fine
+        sheet = sheet or Sheet(self.size)
+        self._fine, self._canvas, self._picture = sheet.fine, sheet.canvas, sheet.picture
         self._body = Body(parameters, orbit, action_range, self._fine)
         self._stage = self._body.stage
         count = parameters.compartments
         self._panels = Panels(self.size, self._fine, orbit, 1.06 * action_range, count)
-        self._canvas, self._picture = self._sheet.canvas, self._sheet.picture
         self._water = self._canvas.copy()
         self._view: View | None = None
         self._drawn_for: tuple[Camera, bool] | None = None
@@ -122,8 +117,10 @@ class Renderer:
         if self.overlay:
             lengths = np.linalg.norm(np.diff(joints, axis=0), axis=2)
             strains = lengths / self._parameters.rest_length - 1.0
-            labels = self._panels.draw(self._canvas, history, strains)
-            labels += self._panels.figures(self._canvas, self._lines(history))
+            factor = self.camera.exaggeration
+            notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
+            lines = status_lines(self.title, history, notes)
+            labels = self._panels.draw(self._canvas, history, strains, lines)
         if self._fine == 1:
             self._picture.blit(self._canvas, (0, 0))
         else:
@@ -157,11 +154,6 @@ class Renderer:
         angles = np.array([-lean[1], lean[0]])
         longest = float(np.abs(angles).max()) or 1.0
         return size * self._range * angles / longest
-
-    def _lines(self, history: History) -> list[Any]:
-        factor = self.camera.exaggeration
-        notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
-        return status_lines(self.title, history, notes)
 
     @property
     def memory(self) -> int:
