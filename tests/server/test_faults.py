@@ -170,7 +170,7 @@ def test_streams_that_wait_for_each_other_do_not_wait_forever() -> None:
         for client, other in ((first, second), (second, first)):
             reset = pb.ResetWorldRequest(world_name=other.world)
             client.send(pb.EnvironmentRequest(reset_world=reset))
-        wait_for_levels(server, worlds=0, timeout=8.0)
+        wait_for_levels(server, worlds=0)
         for client in (first, second):
             assert status_of(client) is Code.DEADLINE_EXCEEDED
 
