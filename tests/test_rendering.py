@@ -22,7 +22,6 @@ from octoarm_env import LIMIT_CYCLES, ArmParameters, OctoArmEnv, OctoArmVectorEn
 from octoarm_env.rendering import CAMERAS, Camera, mesh
 from octoarm_env.rendering.colours import BASE, SPRINGS, TARGET, strain_colours
 from octoarm_env.rendering.history import History
-from octoarm_env.rendering.panels import status_lines
 from octoarm_env.rendering.renderer import Renderer
 from octoarm_env.rendering.toolkit import pygame
 
@@ -226,7 +225,7 @@ class TestContents:
         renderer = next(iter(env._pictures._renderers.values()))
         panels, history = renderer._panels, env._history
         assert panels.shown
-        lines = status_lines(renderer.title, history, renderer.notes)
+        lines = renderer._lines(history)
         labels = panels.draw(renderer._canvas, history, np.zeros((20, 4)), lines)
         boxes = []
         for text, x, y, _, points, anchor in labels:

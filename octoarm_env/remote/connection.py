@@ -74,12 +74,7 @@ class Connection:
     Requests and their answers go through :meth:`exchange`, which keeps them together.
 
     Args:
-        address: ``host:port``, or a URL: ``http://host:port``, ``https://host:port`` for TLS.
-        token: what a server that asks for one is told; refused without TLS, unless the server is on
-            this machine.
-        certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
-            implies TLS. None: the machine's usual ones.
-        timeout: time to wait for the server [s].
+        address, token, certificate, timeout: as `RemoteOctoArm` takes them.
 
     To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
     one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
@@ -161,11 +156,6 @@ class Connection:
             self.close()
             raise
 
-    @property
-    def closed(self) -> bool:
-        """Whether the stream has ended."""
-        return self._fault is not None
-
     def is_lost(self) -> bool:
         """Tell whether the stream has ended otherwise than by :meth:`close`.
 
@@ -175,7 +165,7 @@ class Connection:
         with self.lock:
             if self._owed:
                 self._end(self._interrupted)
-            return self.closed and not self._given_up
+            return self._fault is not None and not self._given_up
 
     def close(self) -> None:
         """End the stream; the server frees what it made. Any thread may do it at any time."""

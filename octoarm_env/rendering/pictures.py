@@ -58,12 +58,8 @@ class Pictures:
 
     Args:
         settings: of each environment.
-        render_mode: None, or one of the next argument.
         render_modes: that there are.
-        width: of a picture, 16 to 4096 [pixels].
-        height: of a picture, 16 to 4096 [pixels].
-        camera: a `Camera`, a name in `CAMERAS`, or None for the default.
-        overlay: whether figures, phase portrait and strains are in the picture.
+        render_mode, width, height, camera, overlay: as `OctoArmEnv` takes them.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.

@@ -9,12 +9,11 @@ from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.body import Body
 from octoarm_env.rendering.camera import Camera, View, find_camera, picture_size
 from octoarm_env.rendering.history import History
-from octoarm_env.rendering.panels import Panels, status_lines
+from octoarm_env.rendering.panels import Line, Panels, status_lines
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import draw_water
 
 Float = NDArray[np.float64]
-Frame = NDArray[np.uint8]
 
 _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""
@@ -117,10 +116,7 @@ class Renderer:
         if self.overlay:
             lengths = np.linalg.norm(np.diff(joints, axis=0), axis=2)
             strains = lengths / self._parameters.rest_length - 1.0
-            factor = self.camera.exaggeration
-            notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
-            lines = status_lines(self.title, history, notes)
-            labels = self._panels.draw(self._canvas, history, strains, lines)
+            labels = self._panels.draw(self._canvas, history, strains, self._lines(history))
         if self._fine == 1:
             self._picture.blit(self._canvas, (0, 0))
         else:
@@ -129,7 +125,7 @@ class Renderer:
             self._panels.write(self._picture, labels)
         return self._picture
 
-    def frame(self, joints: Float, history: History) -> Frame:
+    def frame(self, joints: Float, history: History) -> NDArray[np.uint8]:
         """Draw a picture as an array of its own, (height, width, 3), 0 to 255."""
         pixels = pygame.image.tobytes(self.draw(joints, history), "RGB")
         width, height = self.size
@@ -154,6 +150,11 @@ class Renderer:
         angles = np.array([-lean[1], lean[0]])
         longest = float(np.abs(angles).max()) or 1.0
         return size * self._range * angles / longest
+
+    def _lines(self, history: History) -> list[Line]:
+        factor = self.camera.exaggeration
+        notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
+        return status_lines(self.title, history, notes)
 
     @property
     def memory(self) -> int:
