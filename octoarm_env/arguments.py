@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["actuator_name", "flag", "generator_seed", "number", "thread_count", "whole_number"]
-
 
 def actuator_name(value: Any) -> str:
     """Give the name of an actuator."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Mapping
-from typing import Any, Literal, SupportsFloat
+from typing import Any, Literal, Protocol, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed
-from octoarm_env.episode import EpisodeCore
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
@@ -22,7 +21,42 @@ from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_w
 from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
+__all__ = ["OctoArmEnv"]
+
 Float = NDArray[np.float64]
+
+
+class EpisodeCore(Protocol):
+    """What an environment needs of the episode behind it: the compiled one, or one on a server.
+
+    Its methods and properties are what `OctoArmEnv` says of its own; `step` gives lengths, reward,
+    whether the arm failed, and the info. A seed is in [0, 2**64), a saved episode is JSON text.
+    Errors are a ValueError or TypeError that names the argument, its value and what is allowed;
+    nothing is changed then.
+    """
+
+    def seed(self, seed: int) -> None: ...
+    def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]: ...
+    def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]: ...
+    def teacher_action(self) -> Float: ...
+    def save(self) -> str: ...
+    def load(self, state: str) -> None: ...
+    @property
+    def observation_len(self) -> int: ...
+    @property
+    def observation_bounds(self) -> tuple[float, float]: ...
+    @property
+    def action_range(self) -> float: ...
+    @property
+    def amplitude(self) -> float: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def orbit(self) -> Float: ...
+    @property
+    def joints(self) -> Float: ...
+    @property
+    def positions(self) -> Float: ...
 
 
 class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):

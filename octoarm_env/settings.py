@@ -15,8 +15,6 @@ from octoarm_env.arguments import actuator_name, number
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
 
-__all__ = ["EpisodeSettings", "MadeOnce", "phase_option"]
-
 
 class MadeOnce:
     """An environment keeps the arguments that it was made with.
@@ -99,20 +97,17 @@ class EpisodeSettings:
             "actuator": actuator_name(self.actuator),
             "arm": ArmParameters.of(self.arm),
         }
-        for name in ("amplitude", "action_range"):
-            value = getattr(self, name)
-            plain_form[name] = None if value is None else number(name, value)
-        others = ("control_period", "tracking_weight", "reward_width", "action_change_weight")
-        for name in others:
-            plain_form[name] = number(name, getattr(self, name))
-        for name, value in plain_form.items():
+        for field in dataclasses.fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if name in plain_form:
+                value = plain_form[name]
+            elif value is not None or field.default is not None:
+                value = number(name, value)
             object.__setattr__(self, name, value)
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as JSON can hold them; `from_dict` gives them back."""
-        content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        target = self.target if isinstance(self.target, str) else [list(row) for row in self.target]
-        return content | {"target": target, "arm": self.arm.to_dict()}
+        return dataclasses.asdict(self) | {"target": plain(self.target)}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> EpisodeSettings:

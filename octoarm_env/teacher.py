@@ -23,8 +23,8 @@ class TeacherPolicy:
 
     def __init__(self, env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> None:
         self._env = env
-        self._vector = isinstance(env, gym.vector.VectorEnv)
-        if not self._vector and not hasattr(env.unwrapped, "teacher_action"):
+        vector = isinstance(env, gym.vector.VectorEnv)
+        if not vector and not hasattr(env.unwrapped, "teacher_action"):
             raise TypeError(f"env must be an OctoArm-v0 environment, not {env.unwrapped}")
 
     def predict(

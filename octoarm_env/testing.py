@@ -399,47 +399,41 @@ def _differences(
     found: Any, expected: Any, exact: bool, where: str, env: int | None = None
 ) -> Iterator[_Difference]:
     """Give the differences; without `env`, the first axis of arrays counts sub-environments."""
-    if mismatch := _mismatch(found, expected, exact):
-        yield _Difference(where, env, *mismatch)
-    elif isinstance(found, dict):
-        for key, entry in found.items():
-            yield from _differences(entry, expected[key], exact, f"{where}[{key!r}]", env)
-    elif isinstance(found, tuple | list):
-        for key, (one, other) in enumerate(zip(found, expected, strict=True)):
-            yield from _differences(one, other, exact, f"{where}[{key}]", env)
-    elif isinstance(found, np.ndarray):
-        if found.dtype.kind != "O" and _same(found, expected, exact):
-            return
-        for place in np.ndindex(found.shape):
-            index = place[0] if env is None and place else env
-            inner = f"{where}{list(place)}"
-            yield from _differences(found[place], expected[place], exact, inner, index)
-
-
-def _mismatch(found: Any, expected: Any, exact: bool) -> tuple[str, str] | None:
-    """Give expected and found where they cannot be compared part by part, or have no parts."""
     if isinstance(found, dict) and isinstance(expected, dict):
         missing, extra = expected.keys() - found.keys(), found.keys() - expected.keys()
         if missing or extra:
             keys, less, more = (sorted(some, key=str) for some in (expected, missing, extra))
-            return f"the keys {keys}", f"missing keys {less}, extra keys {more}"
+            faults = f"missing keys {less}, extra keys {more}"
+            yield _Difference(where, env, f"the keys {keys}", faults)
+            return
+        for key, entry in found.items():
+            yield from _differences(entry, expected[key], exact, f"{where}[{key!r}]", env)
     elif type(found) is not type(expected):
-        return (
-            f"{type(expected).__name__} {_shown(expected)}",
-            f"{type(found).__name__} {_shown(found)}",
-        )
+        shown = (f"{type(it).__name__} {_shown(it)}" for it in (expected, found))
+        yield _Difference(where, env, *shown)
+    elif (form := _form(expected)) != _form(found):
+        yield _Difference(where, env, form, _form(found))
     elif isinstance(found, tuple | list):
-        if len(found) != len(expected):
-            return f"length {len(expected)}", f"length {len(found)}"
-    elif isinstance(found, np.ndarray):
-        if (found.dtype, found.shape) != (expected.dtype, expected.shape):
-            return (
-                f"dtype {expected.dtype}, shape {expected.shape}",
-                f"dtype {found.dtype}, shape {found.shape}",
-            )
+        for key, (one, other) in enumerate(zip(found, expected, strict=True)):
+            yield from _differences(one, other, exact, f"{where}[{key}]", env)
+    elif isinstance(found, np.ndarray) and found.ndim:
+        if found.dtype.kind != "O" and _same(found, expected, exact):
+            return
+        for place, one in np.ndenumerate(found):
+            index = place[0] if env is None else env
+            inner = f"{where}{list(place)}"
+            yield from _differences(one, expected[place], exact, inner, index)
     elif not _same(found, expected, exact):
-        return _shown(expected), _shown(found)
-    return None
+        yield _Difference(where, env, _shown(expected), _shown(found))
+
+
+def _form(value: Any) -> str:
+    """What two things must share before their parts are compared."""
+    if isinstance(value, np.ndarray):
+        return f"dtype {value.dtype}, shape {value.shape}"
+    if isinstance(value, tuple | list):
+        return f"length {len(value)}"
+    return ""
 
 
 def _same(found: Any, expected: Any, exact: bool) -> bool:

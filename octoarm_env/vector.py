@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -29,12 +30,6 @@ from octoarm_env.targets import TargetName
 
 Float = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-_AUTORESET = {
-    AutoresetMode.NEXT_STEP: "next_step",
-    AutoresetMode.SAME_STEP: "same_step",
-    AutoresetMode.DISABLED: "disabled",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,14 +68,10 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         num_envs: number of environments N, at least 1.
         target: as in `OctoArmEnv`, for all; or a sequence of N of them.
         amplitude: as in `OctoArmEnv`, for all; or a sequence of N of them.
-        control_period: as in `OctoArmEnv`.
-        actuator: as in `OctoArmEnv`.
         arm: the body of all, as in `OctoArmEnv`; or a sequence of N bodies with one number of
             compartments.
-        action_range: as in `OctoArmEnv`.
-        tracking_weight: as in `OctoArmEnv`.
-        reward_width: as in `OctoArmEnv`.
-        action_change_weight: as in `OctoArmEnv`.
+        control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight:
+            as in `OctoArmEnv`.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
         width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
@@ -134,24 +125,17 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             "render_modes": ["rgb_array"],
             "autoreset_mode": mode,
         }
-        columns = zip(
-            *(
-                _per_env(name, value, self.num_envs, _SEVERAL[name](value))
-                for name, value in (("target", target), ("amplitude", amplitude), ("arm", arm))
-            ),
-            strict=True,
-        )
+        several = {"target": target, "amplitude": amplitude, "arm": arm}
+        columns = (_per_env(name, value, self.num_envs) for name, value in several.items())
         others = (action_range, tracking_weight, reward_width, action_change_weight)
         known: dict[tuple[int, Any, int], EpisodeSettings] = {}
         settings = []
-        for one_target, one_amplitude, body in columns:
+        for one_target, one_amplitude, body in zip(*columns, strict=True):
             # Arguments are mostly the same for all, and checking a body takes a while.
             key = (id(one_target), one_amplitude, id(body))
             if key not in known:
-                body_of_one = ArmParameters.of(body)
-                known[key] = EpisodeSettings(
-                    one_target, one_amplitude, control_period, actuator, body_of_one, *others
-                )
+                of_one = (one_target, one_amplitude, control_period, actuator)
+                known[key] = EpisodeSettings(*of_one, ArmParameters.of(body), *others)
             settings.append(known[key])
         if max_episode_steps == -1:
             max_episode_steps = None
@@ -161,15 +145,13 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         self._settings = tuple(settings)
         # The same text for the same settings: it is read once.
         texts = [each.text for each in settings]
-        self._arguments = (texts, max_episode_steps, _AUTORESET[mode], thread_count(threads))
+        self._arguments = (texts, max_episode_steps, mode.name.lower(), thread_count(threads))
         self._core = _core.EpisodeBatch(*self._arguments)
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
         self._pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
         self._control_period = control_period
-        self._history: BatchHistory | None = None
-        if render_mode is not None:
-            self._history = BatchHistory(control_period, self.num_envs)
+        self._history = None if render_mode is None else BatchHistory(control_period, self.num_envs)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._attributes: dict[str, list[Any]] = {}
@@ -258,7 +240,15 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         """
         result = self._core.step(actions)
         if self._history is not None:
-            self._keep(self._history, *result[1:])
+            _, rewards, terminated, truncated, infos = result
+            over = terminated | truncated
+            begun = {
+                AutoresetMode.NEXT_STEP: self._over,
+                AutoresetMode.SAME_STEP: over,
+                AutoresetMode.DISABLED: np.zeros_like(over),
+            }[self.autoreset_mode]
+            self._history.add(infos, rewards, begun)
+            self._over = over
         return result
 
     def snapshot(self) -> VectorSnapshot:
@@ -324,11 +314,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
     ) -> tuple[Any, ...]:
         """Do as :meth:`call` for some of the environments."""
         if name == "render":
-            history = self._history
-            if history is None:
-                warn_without_mode()
-                return tuple(None for _ in indices)
-            return tuple(self._frame(history, index) for index in indices)
+            return self._frames(indices) or tuple(None for _ in indices)
         if name == "teacher_action":
             actions = self._core.teacher_actions()
             return tuple(actions[index].copy() for index in indices)
@@ -347,25 +333,22 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         core, count = self._core, self.num_envs
         each: dict[str, Callable[[], Iterable[Any]]] = {
             "action_range": core.action_ranges.tolist,
+            "action_space": lambda: [self.single_action_space] * count,
             "amplitude": core.amplitudes.tolist,
             "arm_joints": lambda: map(core.joints, range(count)),
             "arm_positions": lambda: map(core.positions, range(count)),
+            "metadata": lambda: [OctoArmEnv.metadata] * count,
             "np_random_seed": lambda: self.np_random_seed,
+            "observation_space": lambda: [self.single_observation_space] * count,
             "orbit": lambda: core.orbit_tables,
             "period": core.periods.tolist,
+            "render_mode": lambda: [self.render_mode] * count,
+            "settings": lambda: self._settings,
             "spec": self._single_specs,
         }
-        shared: dict[str, Any] = {
-            "action_space": self.single_action_space,
-            "metadata": OctoArmEnv.metadata,
-            "observation_space": self.single_observation_space,
-            "render_mode": self.render_mode,
-        }
-        if name in each:
-            return tuple(each[name]())
-        if name in shared:
-            return (shared[name],) * count
-        raise AttributeError(f"OctoArm-v0 environments have no attribute {name!r}")
+        if name not in each:
+            raise AttributeError(f"OctoArm-v0 environments have no attribute {name!r}")
+        return tuple(each[name]())
 
     def set_attr(self, name: str, values: list[Any] | tuple[Any, ...] | Any) -> None:
         """Give every environment an attribute of your own: one value for all, or a list of N.
@@ -397,11 +380,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as
                 :meth:`octoarm_env.OctoArmEnv.render`.
         """
-        history = self._history
-        if history is None:
-            warn_without_mode()
-            return None
-        return tuple(self._frame(history, index) for index in range(self.num_envs))
+        return self._frames(range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of what drew."""
@@ -412,29 +391,34 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         spec, count = self.spec, self.num_envs
         if spec is None:
             return [None] * count
-        shared = {
-            name: value
-            for name, value in spec.kwargs.items()
-            if name in inspect.signature(OctoArmEnv).parameters
-        }
         columns = {
-            name: _per_env(name, value, count, _SEVERAL[name](value))
-            for name, value in shared.items()
-            if name in _SEVERAL
+            name: _per_env(name, value, count)
+            for name, value in spec.kwargs.items()
+            if name in OctoArmEnv._fixed
         }
         return [
             dataclasses.replace(
-                spec, kwargs=shared | {name: column[index] for name, column in columns.items()}
+                spec, kwargs={name: column[index] for name, column in columns.items()}
             )
             for index in range(count)
         ]
 
-    def _frame(self, history: BatchHistory, index: int) -> NDArray[np.uint8]:
-        def task() -> tuple[Float, float]:
+    def _frames(self, indices: Iterable[int]) -> tuple[NDArray[np.uint8], ...] | None:
+        if self._history is None:
+            warn_without_mode()
+            return None
+
+        def task(index: int) -> tuple[Float, float]:
             return self._core.orbit_tables[index], self._core.action_ranges[index].item()
 
-        subject = Subject(self._core.joints(index), task)
-        return self._pictures.frame(index, history.of(index), subject)
+        return tuple(
+            self._pictures.frame(
+                index,
+                self._history.of(index),
+                Subject(self._core.joints(index), functools.partial(task, index)),
+            )
+            for index in indices
+        )
 
     def _no_past(self) -> tuple[BatchHistory, Flags]:
         """A past that begins now, and which episodes have ended."""
@@ -442,24 +426,6 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         every = np.ones(self.num_envs, dtype=np.bool_)
         history.begin(every, self._core.infos())
         return history, np.array(self._core.ended)
-
-    def _keep(
-        self,
-        history: BatchHistory,
-        rewards: Float,
-        terminated: Flags,
-        truncated: Flags,
-        infos: dict[str, Any],
-    ) -> None:
-        """Keep what the pictures show of a step."""
-        over = terminated | truncated
-        begun = {
-            AutoresetMode.NEXT_STEP: self._over,
-            AutoresetMode.SAME_STEP: over,
-            AutoresetMode.DISABLED: np.zeros_like(over),
-        }[self.autoreset_mode]
-        history.add(infos, rewards, begun)
-        self._over = over
 
     def _mask(self, options: dict[str, Any] | None) -> Flags | None:
         if not options or "reset_mask" not in options:
@@ -477,15 +443,15 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
     def _given_seeds(self, seed: Any) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if _is_sequence(seed):
-            if len(seed) != self.num_envs:
-                raise ValueError(f"seed has {len(seed)} entries, expected {self.num_envs}")
-            return [
-                None if each is None else whole_number(f"seed[{index}]", each, 0)
-                for index, each in enumerate(seed)
-            ]
-        first = whole_number("seed", seed, 0)
-        return [first + index for index in range(self.num_envs)]
+        if not _is_sequence(seed):
+            first = whole_number("seed", seed, 0)
+            return [first + index for index in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed has {len(seed)} entries, expected {self.num_envs}")
+        return [
+            None if each is None else whole_number(f"seed[{index}]", each, 0)
+            for index, each in enumerate(seed)
+        ]
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
@@ -525,9 +491,9 @@ _SEVERAL: dict[str, Callable[[Any], bool]] = {
 """Arguments that may be one an environment, and whether a value is."""
 
 
-def _per_env(name: str, value: Any, count: int, several: bool) -> list[Any]:
+def _per_env(name: str, value: Any, count: int) -> list[Any]:
     """One value an environment."""
-    if not several:
+    if name not in _SEVERAL or not _SEVERAL[name](value):
         return [value] * count
     if len(value) != count:
         raise ValueError(f"{name} has {len(value)} entries, expected one or {count} (num_envs)")

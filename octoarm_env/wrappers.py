@@ -68,13 +68,9 @@ class VectorStrain(_VectorWrapper):
         env: a vector environment of ``OctoArm-v0`` whose observations are still the lengths. In the
             autoreset mode SAME_STEP the last observations in the infos, ``final_obs``, are strains
             too.
-        scale: factor, above 0; the default gives strains in percent.
+        scale: as :class:`Strain` takes it, with the same errors.
 
     Observations are float32, (N, 80).
-
-    Raises:
-        TypeError: observations that are not spring lengths.
-        ValueError: a scale that is not a positive number.
     """
 
     def __init__(self, env: VectorEnv, scale: float = 100.0) -> None:

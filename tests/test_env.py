@@ -286,15 +286,16 @@ def test_an_assigned_generator_draws_the_next_seed() -> None:
     assert not np.array_equal(starts[0], starts[1])
 
 
-def test_observations_are_fresh_and_in_bounds() -> None:
+@pytest.mark.parametrize("steps", [2_000, pytest.param(20_000, marks=pytest.mark.long)])
+def test_observations_are_fresh_and_in_bounds(steps: int) -> None:
     env = OctoArmEnv()
     env.action_space.seed(0)
     first, _ = env.reset(seed=0)
     kept = first.copy()
     rng = np.random.default_rng(0)
-    for step in range(20_000):
+    for step in range(steps):
         bang = 1.0 if (step // 18) % 2 == 0 else -1.0
-        action = rng.uniform(-1, 1, 2) if step < 10_000 else np.array([bang, -bang])
+        action = rng.uniform(-1, 1, 2) if step < steps // 2 else np.array([bang, -bang])
         observation, reward, terminated, _, _ = env.step(action)
         assert not terminated
         assert np.isfinite(reward)

@@ -112,7 +112,7 @@ def octo_arm() -> gym.Env:
 
 
 @pytest.mark.parametrize(
-    ("make", "steps"), [(cart_pole, 100), (pendulum, 40), (Drifter, 100), (octo_arm, 20)]
+    ("make", "steps"), [(cart_pole, 60), (pendulum, 20), (Drifter, 25), (octo_arm, 16)]
 )
 @MODES
 def test_gymnasium_s_own_passes(make: Callable, steps: int, mode: AutoresetMode) -> None:

@@ -72,7 +72,7 @@ def steps(envs: VectorEnv, count: int, seed: int = 0) -> Iterator[tuple]:
 def test_conformance(mode: AutoresetMode, num_envs: int) -> None:
     options = {"max_episode_steps": 7, "target": "van_der_pol", "reward_width": 0.2}
     envs = native(num_envs, autoreset_mode=mode, **options)
-    check_vector_env(envs, lambda: gym.make("OctoArm-v0", **options), steps=40)
+    check_vector_env(envs, lambda: gym.make("OctoArm-v0", **options), steps=20)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -115,23 +115,24 @@ def test_conformance_of_different_environments(mode: AutoresetMode) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    "options", [{"max_episode_steps": 37}, FAILING | {"max_episode_steps": 400}], ids=str
+    "options", [{"max_episode_steps": 37}, FAILING | {"max_episode_steps": 120}], ids=str
 )
-def test_ten_thousand_steps_to_the_bit(mode: AutoresetMode, options: dict) -> None:
+@pytest.mark.parametrize("count", [200, pytest.param(1000, marks=pytest.mark.long)])
+def test_many_steps_to_the_bit(count: int, mode: AutoresetMode, options: dict) -> None:
     num_envs = 10
     batches = [native(num_envs, autoreset_mode=mode, threads=n, **options) for n in (1, 2)]
     loop = singles(num_envs, mode, **options)
     starts = [envs.reset(seed=3) for envs in (*batches, loop)]
     assert equivalent(starts[0], starts[2], exact=True)
     ends = failures = 0
-    streams = zip(*(steps(envs, 1000) for envs in (*batches, loop)), strict=True)
+    streams = zip(*(steps(envs, count) for envs in (*batches, loop)), strict=True)
     for one, two, alone in streams:
         assert equivalent(one, alone, exact=True)
         assert equivalent(two, alone, exact=True)
         if len(one) == 5:
             ends += int((one[2] | one[3]).sum())
             failures += int(one[2].sum())
-    assert ends > (200 if "arm" not in options else 20)
+    assert ends > (count // 5 if "arm" not in options else count // 20)
     assert (failures > 0) == ("arm" in options)
 
 
@@ -145,16 +146,16 @@ from test_vector_env import native, steps
 assert octoarm_env.instruction_set() == sys.argv[2], octoarm_env.instruction_set()
 for mode in AutoresetMode:
     digest = hashlib.sha256()
-    envs = native(20, autoreset_mode=mode, max_episode_steps=23)
+    envs = native(10, autoreset_mode=mode, max_episode_steps=23)
     digest.update(envs.reset(seed=1)[0].tobytes())
-    for result in steps(envs, 500):
+    for result in steps(envs, 100):
         for part in result[:-1]:
             digest.update(part.tobytes())
     print(digest.hexdigest())
 """
 
 
-def test_ten_thousand_steps_on_every_instruction_set() -> None:
+def test_every_instruction_set_gives_the_same_bits() -> None:
     best = ("baseline", "avx2", "avx512").index(octoarm_env.instruction_set())
     traces = {}
     for name in ("baseline", "avx2", "avx512")[: best + 1]:
@@ -592,7 +593,7 @@ def resident_bytes() -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_a_million_resets_leak_nothing() -> None:
+def test_many_resets_leak_nothing() -> None:
     envs = native(64)
     envs.reset(seed=0)
 
@@ -600,12 +601,13 @@ def test_a_million_resets_leak_nothing() -> None:
         for _ in range(count // 64):
             envs.reset()
 
-    resets(100_000)
+    resets(20_000)
     gc.collect()
     before = resident_bytes()
-    resets(1_000_000)
+    resets(200_000)
     gc.collect()
-    # A leak of a single byte a reset would show; the allocator itself moves by some pages.
+    # An allocation takes at least 16 bytes: one that leaks at every reset would show. The
+    # allocator itself moves by some pages.
     assert resident_bytes() - before < 1_000_000
 
 

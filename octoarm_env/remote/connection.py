@@ -8,7 +8,7 @@ import queue
 import re
 import threading
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,13 +21,10 @@ from octoarm_env.remote.messages import (
     EnvironmentRequest,
     EnvironmentResponse,
     PropertyRequest,
+    PropertyResponse,
     pack,
     unpack,
-    unwrap,
-    wrap,
 )
-
-__all__ = ["Connection", "RemoteError"]
 
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
 _HEALTH = "/grpc.health.v1.Health/Check"
@@ -77,12 +74,7 @@ class Connection:
     Requests and their answers go through :meth:`exchange`, which keeps them together.
 
     Args:
-        address: ``host:port``, or a URL: ``http://host:port``, ``https://host:port`` for TLS.
-        token: what a server that asks for one is told; refused without TLS, unless the server is on
-            this machine.
-        certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
-            implies TLS. None: the machine's usual ones.
-        timeout: time to wait for the server [s].
+        address, token, certificate, timeout: as `RemoteOctoArm` takes them.
 
     To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
     one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
@@ -109,13 +101,14 @@ class Connection:
         if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
             # Which is not shown.
             raise ValueError("token: expected a text of printable ASCII characters without spaces")
-        if token is not None and not encrypted and not _is_this_machine(host):
+        local = _is_this_machine(host)
+        if token is not None and not encrypted and not local:
             raise ValueError(
                 f"address = {address!r}: a token is not sent to another machine without TLS; "
                 "use https://, a certificate, or an SSH tunnel to the server's machine"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        self._proxy = "" if _is_this_machine(host) else _proxy()
+        self._proxy = "" if local else _proxy()
         # Streams that share a connection would wait for each other where a server allows it only so
         # many; the answer to a step of many arms may be large; a dead server is noticed.
         options = [
@@ -123,7 +116,7 @@ class Connection:
             ("grpc.max_receive_message_length", -1),
             ("grpc.keepalive_time_ms", 30_000),
             ("grpc.keepalive_timeout_ms", 20_000),
-            *(_DIRECT if _is_this_machine(host) else ()),
+            *(_DIRECT if local else ()),
         ]
         if encrypted:
             roots = None if certificate is None else Path(certificate).read_bytes()
@@ -163,11 +156,6 @@ class Connection:
             self.close()
             raise
 
-    @property
-    def closed(self) -> bool:
-        """Whether the stream has ended."""
-        return self._fault is not None
-
     def is_lost(self) -> bool:
         """Tell whether the stream has ended otherwise than by :meth:`close`.
 
@@ -177,7 +165,7 @@ class Connection:
         with self.lock:
             if self._owed:
                 self._end(self._interrupted)
-            return self.closed and not self._given_up
+            return self._fault is not None and not self._given_up
 
     def close(self) -> None:
         """End the stream; the server frees what it made. Any thread may do it at any time."""
@@ -229,16 +217,15 @@ class Connection:
         if response is None:
             raise self._broken(f"the server at {self.address} ended the stream")
         if isinstance(response, BaseException):
-            code = response.code() if isinstance(response, grpc.Call) else None
-            details = response.details() if isinstance(response, grpc.Call) else repr(response)
-            if code == grpc.StatusCode.UNAUTHENTICATED:
-                refusal = f"the server at {self.address} refuses: {details}"
-                raise self._broken(refusal, PermissionError)
-            name = "" if code is None else f" ({code.name})"
-            proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
-            raise self._broken(
-                f"the connection to {self.address} is broken: {details}{name}{proxy}"
-            )
+            fault = repr(response)
+            if isinstance(response, grpc.Call):
+                code, details = response.code(), response.details()
+                if code == grpc.StatusCode.UNAUTHENTICATED:
+                    refusal = f"the server at {self.address} refuses: {details}"
+                    raise self._broken(refusal, PermissionError)
+                proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
+                fault = f"{details} ({code.name}){proxy}"
+            raise self._broken(f"the connection to {self.address} is broken: {fault}")
         found = response.WhichOneof("payload")
         if found == "error":
             code, message = response.error.code, response.error.message
@@ -256,55 +243,33 @@ class Connection:
         self._end(fault)
         return kind(fault)
 
-    def create_world(self, settings: Mapping[str, Any]) -> str:
-        """Make a world; its name."""
+    def enter_world(self, settings: Mapping[str, Any]) -> Any:
+        """Make a world and join it; its ActionObservationSpecs."""
         request = EnvironmentRequest()
         request.create_world.SetInParent()
         for name, value in settings.items():
             pack(request.create_world.settings[name], value)
         self.post(request)
-        return str(self.answer("create_world").world_name)
-
-    def join_world(self, name: str) -> Any:
-        """Join a world; its ActionObservationSpecs."""
-        request = EnvironmentRequest()
-        request.join_world.world_name = name
-        self.post(request)
+        world = self.answer("create_world").world_name
+        self.post(EnvironmentRequest(join_world={"world_name": world}))
         return self.answer("join_world").specs
 
-    def read(self, keys: Iterable[str]) -> list[Any]:
-        """Read properties, all in one go."""
-        keys = list(keys)
-        for key in keys:
-            self._post_property(PropertyRequest(read_property={"key": key}))
-        return [
-            unpack(unwrap(envelope).read_property.value)
-            for envelope in self._answers("extension", len(keys))
-        ]
+    def read(self, key: str) -> Any:
+        """Read a property."""
+        response = self._property(PropertyRequest(read_property={"key": key}))
+        return unpack(response.read_property.value)
 
     def write(self, key: str, value: Any) -> None:
         """Write a property."""
         message = PropertyRequest(write_property={"key": key})
         pack(message.write_property.value, value)
-        self._post_property(message)
-        self.answer("extension")
+        self._property(message)
 
-    def _post_property(self, message: Any) -> None:
+    def _property(self, message: Any) -> Any:
         request = EnvironmentRequest()
-        wrap(request.extension, message)
+        request.extension.Pack(message)
         self.post(request)
-
-    def _answers(self, kind: str, count: int) -> list[Any]:
-        """Take all of some answers, also when one is a refusal."""
-        answers, refusal = [], None
-        for _ in range(count):
-            try:
-                answers.append(self.answer(kind))
-            except _Refused as refused:
-                refusal = refusal or refused
-        if refusal is not None:
-            raise refusal
-        return answers
+        return PropertyResponse.FromString(self.answer("extension").value)
 
 
 def _converse(

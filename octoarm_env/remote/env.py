@@ -33,9 +33,13 @@ class RemoteEpisode:
         self._connection = connection
         self.lock = connection.lock
         self.settings = settings
-        specs = connection.exchange(
-            lambda: connection.join_world(connection.create_world(_world_settings(settings)))
-        )
+        world: dict[str, Any] = {"max_episode_steps": -1}  # it does not end by itself
+        for name, value in settings.to_dict().items():
+            if isinstance(value, dict):
+                world |= {f"{name}.{field}": entry for field, entry in value.items()}
+            elif value is not None:
+                world[name] = value
+        specs = connection.exchange(lambda: connection.enter_world(world))
         observations = {spec.name: uid for uid, spec in specs.observations.items()}
         (self._action,) = (uid for uid, spec in specs.actions.items() if spec.name == "action")
         self._uids = {name: observations[name] for name in _OBSERVED}
@@ -115,7 +119,7 @@ class RemoteEpisode:
         self._connection.exchange(work)
 
     def _read(self, key: str) -> Any:
-        return self._connection.exchange(lambda: self._connection.read([key])[0])
+        return self._connection.exchange(lambda: self._connection.read(key))
 
     def _table(self, key: str) -> Float:
         return np.asarray(self._read(key), np.float64)
@@ -227,14 +231,3 @@ class RemoteOctoArm(OctoArmEnv):
         core = self._core
         assert isinstance(core, RemoteEpisode)
         core.close()
-
-
-def _world_settings(settings: EpisodeSettings) -> dict[str, Any]:
-    """The settings of an episode as those of a world that does not end by itself."""
-    world: dict[str, Any] = {"max_episode_steps": -1}
-    for name, value in settings.to_dict().items():
-        if isinstance(value, dict):
-            world |= {f"{name}.{field}": entry for field, entry in value.items()}
-        elif value is not None:
-            world[name] = value
-    return world

@@ -8,28 +8,12 @@ from typing import Any
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-__all__ = [
-    "EnvironmentRequest",
-    "EnvironmentResponse",
-    "PropertyRequest",
-    "PropertyResponse",
-    "pack",
-    "unpack",
-    "unwrap",
-    "wrap",
-]
+_POOL = descriptor_pool.DescriptorPool()
+"""A pool of its own, beside what others have of the protocol."""
+_CONTENT = files("octoarm_env.remote").joinpath("dm_env_rpc.binpb").read_bytes()
+for _file in descriptor_pb2.FileDescriptorSet.FromString(_CONTENT).file:
+    _POOL.Add(_file)
 
-
-def _messages() -> descriptor_pool.DescriptorPool:
-    """Read the protocol into a pool of its own, beside what others have of it."""
-    pool = descriptor_pool.DescriptorPool()
-    content = files("octoarm_env.remote").joinpath("dm_env_rpc.binpb").read_bytes()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(content).file:
-        pool.Add(file)
-    return pool
-
-
-_POOL = _messages()
 _PROPERTIES = "dm_env_rpc.v1.extensions.properties"
 
 
@@ -79,14 +63,3 @@ def unpack(tensor: Any) -> Any:
     array = np.fromiter(elements, np.float64, len(elements))
     # An array has the shape that is wanted mostly.
     return array if len(tensor.shape) == 1 else array.reshape(tuple(tensor.shape))
-
-
-def wrap(envelope: Any, message: Any) -> None:
-    """Put a message of an extension into its envelope."""
-    envelope.type_url = f"type.googleapis.com/{message.DESCRIPTOR.full_name}"
-    envelope.value = message.SerializeToString()
-
-
-def unwrap(envelope: Any) -> Any:
-    """Take a property response out of its envelope."""
-    return PropertyResponse.FromString(envelope.value)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import operator
-from itertools import pairwise
+from collections.abc import Iterable
+from itertools import pairwise, repeat
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,10 @@ from octoarm_env.arm import Arm
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.camera import Stage, View
-from octoarm_env.rendering.colours import BASE, FLESH, ORBIT, SPRINGS, TARGET, Colour
+from octoarm_env.rendering.colours import BASE, FLESH, ORBIT, SPRINGS, TARGET, Colour, faded_base
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import HAZE, draw_shadow
-
-__all__ = ["Body"]
 
 Float = NDArray[np.float64]
 Pieces = list[tuple[Any, ...]]
@@ -63,7 +61,10 @@ class Body:
         step = max(1, len(orbit) // _ORBIT_PIECES)
         self.path = self._pointed(np.concatenate((orbit[::step], orbit[:1])))
         """Where the end of the pointer is to pass, (n, 3) [m]."""
-        at_rest = _at_rest(parameters)
+        try:
+            at_rest = Arm(parameters).joints
+        except ValueError:  # no static equilibrium: with its springs at rest
+            at_rest = Arm(parameters, undeformed=True).joints
         self._rest = mesh.centres(at_rest)
         self.stage = self._stage(at_rest, action_range)
         self._view: View | None = None
@@ -82,16 +83,23 @@ class Body:
             factor: how many times as large the planes' ways to the side are drawn.
         """
         if view is not self._view:
-            self._view, self._standing = view, self._what_stands(view)
+            self._view, wide = view, _thin(view)
+            self._standing = [
+                *self._line(view, self._ring(), repeat(_RING), wide),
+                *self._line(view, self.path, repeat(ORBIT), wide),
+            ]
         joints = mesh.exaggerate(joints, self._rest, factor)
         rings = mesh.skin(joints)
         draw_shadow(canvas, view, self.stage, rings[::2, ::2])
         trace = history.trace
         points = self._pointed(trace[:: -max(1, len(trace) // _TRACE_PIECES)][::-1])
+        # The past lies in front of the curve, the newest piece last.
+        ages = np.linspace(0.35, 1.0, max(len(points) - 1, 1))[: len(points) - 1]
+        nearer = self._parameters.base_radius * (1.0 + ages)
         pieces = self._solids(view, rings, points[-1])
         pieces += self._springs(view, joints)
         pieces += self._standing
-        pieces += self._past(view, points)
+        pieces += self._line(view, points, faded_base(ages), 2 * _thin(view), nearer)
         pieces.sort(key=operator.itemgetter(0))
         draw_polygon, draw_line = pygame.draw.polygon, pygame.draw.line
         for _, colour, corners, wide in pieces:
@@ -99,7 +107,13 @@ class Body:
                 draw_line(canvas, colour, corners[0], corners[1], wide)
             else:
                 draw_polygon(canvas, colour, corners)
-        self._knobs(canvas, view, points[-1], history.target)
+        # The end of the pointer, and where it should be.
+        radius = max(view.size_at(0.28 * self._parameters.base_radius, points[-1]), 2.0)
+        rim = max(self._fine, round(0.3 * radius))
+        end, target = self._pointed(np.stack((trace[-1], history.target)))
+        (end, target), _ = view.project(np.stack((end, target)))
+        pygame.draw.circle(canvas, BASE, end, radius)
+        pygame.draw.circle(canvas, TARGET, target, 1.6 * radius, rim)
 
     def _pointed(self, angles: Float) -> Float:
         """Where the end of the pointer is for base angles (n, 2) [degrees], (n, 3) [m]."""
@@ -135,10 +149,7 @@ class Body:
         depths = depth.mean(axis=1)
         far = np.clip((depths / view.distance - 0.9) * 0.5, 0.0, 0.6)[:, np.newaxis]
         shaded = np.rint(shaded + far * (HAZE - shaded)).astype(int)
-        polygons = [0] * len(depths)
-        return list(
-            zip((-depths).tolist(), shaded.tolist(), pixels.tolist(), polygons, strict=True)
-        )
+        return list(zip((-depths).tolist(), shaded.tolist(), pixels.tolist(), repeat(0)))
 
     def _springs(self, view: View, joints: Float) -> Pieces:
         """The springs that lie on this side of the arm."""
@@ -149,25 +160,15 @@ class Body:
         size = np.linalg.norm(outwards, axis=2) * np.linalg.norm(towards, axis=2)
         seen = (outwards * towards).sum(axis=2) > -0.12 * size
         bias = np.linalg.norm(outwards, axis=2)
-        begins, _ = view.project(joints[:-1])
-        ends, _ = view.project(joints[1:])
+        pixels = view.project(joints)[0].tolist()
         depth = -view.project(middles)[1] + 0.7 * bias
         thick = 0.13 * float(self._parameters.tip_radius + self._parameters.base_radius)
         wide = max(self._fine, round(view.size_at(thick, middles[0, 0])))
         pieces = []
         for j, i in np.argwhere(seen).tolist():
-            line = (begins[j, i].tolist(), ends[j, i].tolist())
+            line = (pixels[j][i], pixels[j + 1][i])
             pieces.append((float(depth[j, i]), SPRINGS[i], line, wide))
         return pieces
-
-    def _what_stands(self, view: View) -> Pieces:
-        """The ring that does not lean, and the curve to be followed."""
-        ring = self._ring()
-        wide = _thin(view)
-        return [
-            *self._line(view, ring, [_RING] * (len(ring) - 1), wide),
-            *self._line(view, self.path, [ORBIT] * (len(self.path) - 1), wide),
-        ]
 
     def _ring(self) -> Float:
         """The edge of the plate when it does not lean, only wider, (n, 3) [m]."""
@@ -192,61 +193,23 @@ class Body:
         floor = float((points @ up).min()) - 0.2 * radius
         return Stage(up, ends[-1], self._rest[-1], middle, radius, floor)
 
-    def _past(self, view: View, points: Float) -> Pieces:
-        """Where the end of the pointer was, in front of the curve, the newest last."""
-        shares, shades = _fading(len(points) - 1)
-        nearer = self._parameters.base_radius * (1.0 + shares)
-        return self._line(view, points, shades, 2 * _thin(view), nearer)
-
     def _line(
         self,
         view: View,
         points: Float,
-        colours: list[Colour],
+        colours: Iterable[Colour],
         wide: int,
         nearer: Float | float = 0.0,
     ) -> Pieces:
         """A line piece by piece, each drawn as if it were so many metres nearer."""
         pixels, depth = view.project(points)
         depths = (nearer - 0.5 * (depth[:-1] + depth[1:])).tolist()
-        corners = pixels.tolist()
-        return [
-            (d, c, pair, wide)
-            for d, c, pair in zip(depths, colours, pairwise(corners), strict=True)
-        ]
-
-    def _knobs(self, canvas: pygame.Surface, view: View, end: Float, target: Float) -> None:
-        """The end of the pointer, and where it should be."""
-        pair = np.stack((end, self._pointed(target[np.newaxis])[0]))
-        pixels, _ = view.project(pair)
-        radius = max(view.size_at(0.28 * self._parameters.base_radius, pair[0]), 2.0)
-        pygame.draw.circle(canvas, BASE, tuple(pixels[0]), radius)
-        rim = max(self._fine, round(0.3 * radius))
-        pygame.draw.circle(canvas, TARGET, tuple(pixels[1]), 1.6 * radius, rim)
-
-
-def _at_rest(parameters: ArmParameters) -> Float:
-    """Joints of the arm in static equilibrium; of one that has none, with its springs at rest."""
-    try:
-        return Arm(parameters).joints
-    except ValueError:
-        return Arm(parameters, undeformed=True).joints
+        return list(zip(depths, colours, pairwise(pixels.tolist()), repeat(wide)))
 
 
 def _thin(view: View) -> int:
     """Pixels of a thin line at the base."""
     return max(1, round(view.size_at(0.0012, np.zeros(3))))
-
-
-@functools.cache
-def _fading(count: int) -> tuple[Float, list[Colour]]:
-    """Ages of pieces from old to new, and their shades."""
-    shares = np.linspace(0.35, 1.0, max(count, 1))[:count]
-    red, green, blue = BASE
-    shades = [
-        (round(share * red), round(share * green), round(share * blue)) for share in shares.tolist()
-    ]
-    return shares, shades
 
 
 def _turned(points: Float, action_range: float) -> Float:

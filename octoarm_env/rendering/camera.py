@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_env.arguments import whole_number
-
-__all__ = ["CAMERAS", "LARGEST", "Camera", "Stage", "View", "find_camera", "picture_size"]
 
 Float = NDArray[np.float64]
 
@@ -105,14 +104,13 @@ def find_camera(value: Any) -> Camera:
         if unknown:
             raise ValueError(f"camera has unknown fields {unknown}; known are {sorted(_RANGES)}")
         return Camera(**value)
-    if not isinstance(value, str):
-        raise TypeError(
-            f"camera = {value!r}: expected a Camera, a mapping of its fields, or one of "
-            f"{tuple(CAMERAS)}"
-        )
-    if value not in CAMERAS:
-        raise ValueError(f"camera = {value!r}: expected a Camera or one of {tuple(CAMERAS)}")
-    return CAMERAS[value]
+    if isinstance(value, str) and value in CAMERAS:
+        return CAMERAS[value]
+    kind = ValueError if isinstance(value, str) else TypeError
+    raise kind(
+        f"camera = {value!r}: expected a Camera, a mapping of its fields, or one of "
+        f"{tuple(CAMERAS)}"
+    )
 
 
 def picture_size(width: Any, height: Any) -> tuple[int, int]:
@@ -152,6 +150,14 @@ class Stage:
         point: Float = self.middle + (focus - 0.5) * (self.tip - self.top)
         return point
 
+    @cached_property
+    def level(self) -> tuple[Float, Float]:
+        """Two directions along the ground: x as far as it is level, or y where it hardly is."""
+        some = np.array([1.0, 0.0, 0.0]) if abs(self.up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        along = some - (some @ self.up) * self.up
+        along /= np.linalg.norm(along)
+        return along, np.cross(self.up, along)
+
 
 class View:
     """A camera in front of a stage: the projection of world points to pixels.
@@ -166,15 +172,10 @@ class View:
     def __init__(
         self, camera: Camera, stage: Stage, size: tuple[int, int], bottom: float = 0.0
     ) -> None:
-        up = stage.up
-        # A horizontal direction to count the azimuth from: x, or y where x is nearly vertical.
-        level = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        east = level - (level @ up) * up
-        east /= np.linalg.norm(east)
-        # Counted so that y, seen from above a hanging arm, lies where azimuth 90 looks from.
-        north = np.cross(east, up)
+        up, (along, across) = stage.up, stage.level
         azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
-        around = math.cos(azimuth) * east + math.sin(azimuth) * north
+        # Counted so that y, seen from above a hanging arm, lies where azimuth 90 looks from.
+        around = math.cos(azimuth) * along - math.sin(azimuth) * across
         self.back = math.cos(elevation) * around + math.sin(elevation) * up
         """From the arm towards the camera, (3,)."""
         right = np.cross(up, self.back)

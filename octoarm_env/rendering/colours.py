@@ -5,17 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "BASE",
-    "FLESH",
-    "ORBIT",
-    "SPRINGS",
-    "STRAIN_SCALE",
-    "TARGET",
-    "Colour",
-    "strain_colours",
-]
-
 Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
@@ -39,4 +28,11 @@ def strain_colours(strains: NDArray[np.float64]) -> NDArray[np.uint8]:
     shares = np.sqrt(np.clip(np.abs(strains) / STRAIN_SCALE, 0.0, 1.0))[..., np.newaxis]
     ends = np.where(strains[..., np.newaxis] < 0, _SHORTER, _LONGER)
     colours: NDArray[np.uint8] = np.rint(_NEUTRAL + shares * (ends - _NEUTRAL)).astype(np.uint8)
+    return colours
+
+
+def faded_base(shares: NDArray[np.float64], dark: int = 0) -> list[Colour]:
+    """Give the colour of the base's past: at a share of 0 a grey, dark to 255; at 1 the base's."""
+    shades = np.rint(dark + shares[:, np.newaxis] * (np.array(BASE) - dark))
+    colours: list[Colour] = shades.astype(int).tolist()
     return colours

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LATE", "BatchHistory", "History"]
-
 Float = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SIDES", "centres", "exaggerate", "facets", "lit", "skin", "tube"]
-
 Float = NDArray[np.float64]
 
 SIDES = 24
@@ -16,17 +14,10 @@ _ROUNDING = np.radians([30.0, 60.0, 88.0])
 """Where the rings of the tip's cap lie."""
 
 
-def _quarters() -> Float:
-    """Weights of the four joints in each point of a ring: quarters of ellipses, (SIDES, 4)."""
-    weights = np.zeros((SIDES, 4))
-    for index in range(SIDES):
-        quarter, angle = divmod(4 * index / SIDES, 1.0)
-        weights[index, int(quarter)] = np.cos(0.5 * np.pi * angle)
-        weights[index, (int(quarter) + 1) % 4] = np.sin(0.5 * np.pi * angle)
-    return weights
-
-
-_WEIGHTS = _quarters()
+_quarter, _part = np.divmod(4 * np.arange(SIDES) / SIDES, 1.0)
+_joint, _angle = _quarter.astype(int), 0.5 * np.pi * _part[:, np.newaxis]
+_WEIGHTS = np.cos(_angle) * np.eye(4)[_joint] + np.sin(_angle) * np.eye(4)[(_joint + 1) % 4]
+"""Weights of the four joints in each point of a ring: quarters of ellipses, (SIDES, 4)."""
 
 
 def centres(joints: Float) -> Float:

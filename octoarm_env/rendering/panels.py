@@ -17,14 +17,15 @@ from octoarm_env.rendering.colours import (
     STRAIN_SCALE,
     TARGET,
     Colour,
+    faded_base,
     strain_colours,
 )
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 
-__all__ = ["Label", "Panels", "status_lines"]
-
 Float = NDArray[np.float64]
+Line = tuple[str, Colour]
+
 _TEXT: Colour = (236, 244, 248)
 _FAINT: Colour = (156, 190, 204)
 _ALARM: Colour = (255, 120, 100)
@@ -82,22 +83,25 @@ class Panels:
         step = max(1, len(orbit) // 256)
         self._orbit = np.concatenate((orbit[::step], orbit[:1]))
         pygame.font.init()
-        self._cells: list[pygame.Rect] = []
+        self._cells: list[pygame.Rect] = []  # of the strains, row by row
         self._fonts: dict[int, pygame.font.Font] = {}
-        self._shades: dict[tuple[int, int], pygame.Surface] = {}
         self._texts: dict[tuple[str, Colour, int], pygame.Surface] = {}
 
-    def draw(self, canvas: pygame.Surface, history: History, strains: Float) -> list[Label]:
+    def draw(
+        self, canvas: pygame.Surface, history: History, strains: Float, lines: list[Line]
+    ) -> list[Label]:
         """Draw the shapes, and give the texts for :meth:`write`.
 
         Args:
             canvas: as large as the picture times the oversampling.
             history: what there is to say.
             strains: of the springs, (N, 4).
+            lines: figures at the top left.
         """
         if not self.shown:
             return []
-        return [*self._portrait(canvas, history), *self._strip(canvas, strains)]
+        labels = self._portrait(canvas, history) + self._strip(canvas, strains)
+        return labels + self._figures(canvas, lines)
 
     def write(self, picture: pygame.Surface, labels: list[Label]) -> None:
         """Write texts onto the finished picture."""
@@ -106,17 +110,15 @@ class Panels:
             shift = {"left": 0.0, "middle": 0.5, "right": 1.0}[anchor] * image.get_width()
             picture.blit(image, (round(x - shift), round(y)))
 
-    def width(self, text: str, size: int = 15) -> float:
+    def _width(self, text: str, size: int = 15) -> float:
         """Give how wide a text is [pixels]."""
         return self._letters(text, _TEXT, size).get_width()
 
-    def figures(self, canvas: pygame.Surface, lines: list[tuple[str, Colour]]) -> list[Label]:
+    def _figures(self, canvas: pygame.Surface, lines: list[Line]) -> list[Label]:
         """Draw the panel at the top left for lines of text."""
-        if not self.shown or not lines:
-            return []
         unit = self.unit
         # Mostly one width, so that the panel does not twitch.
-        wide = max([self.width(text) + 16 * unit for text, _ in lines] + [150 * unit])
+        wide = max([self._width(text) + 16 * unit for text, _ in lines] + [150 * unit])
         self._panel(canvas, 8 * unit, 8 * unit, wide, (10 + 17 * len(lines)) * unit)
         return [
             Label(text, 16 * unit, (12 + 17 * row) * unit, colour)
@@ -147,14 +149,8 @@ class Panels:
 
     def _panel(self, canvas: pygame.Surface, x: float, y: float, wide: float, high: float) -> None:
         fine = self._fine
-        size = (round(wide * fine), round(high * fine))
-        if size not in self._shades:
-            if len(self._shades) > 16:
-                self._shades.clear()
-            shade = pygame.Surface(size, pygame.SRCALPHA, 32)
-            pygame.draw.rect(shade, _PANEL, shade.get_rect(), border_radius=round(6 * fine))
-            self._shades[size] = shade
-        canvas.blit(self._shades[size], (round(x * fine), round(y * fine)))
+        shade = _shade(round(wide * fine), round(high * fine), round(6 * fine))
+        canvas.blit(shade, (round(x * fine), round(y * fine)))
 
     def _portrait(self, canvas: pygame.Surface, history: History) -> list[Label]:
         """θ to the right, φ upwards: orbit, late trace, base and target now."""
@@ -180,20 +176,21 @@ class Panels:
         step = max(1, len(trace) // _TRACE_POINTS)
         points = (trace[::-step][::-1] * scale + middle).tolist()
         wide, draw_line = round(2 * unit * fine), pygame.draw.line
-        for colour, (begin, end) in zip(_fading(len(points) - 1), pairwise(points), strict=True):
+        count = len(points) - 1
+        shades = faded_base(0.25 + 0.75 * np.arange(1, count + 1) / count, 30) if count else []
+        for colour, (begin, end) in zip(shades, pairwise(points), strict=True):
             draw_line(canvas, colour, begin, end, wide)
         target = tuple(np.asarray(history.target) * scale + middle)
         pygame.draw.circle(canvas, TARGET, target, 6 * unit * fine, round(1.6 * unit * fine))
         pygame.draw.circle(canvas, BASE, points[-1], 3.6 * unit * fine)
         canvas.set_clip(clip)
-        below = top + side
-        reach = f"±{self._reach:.3g}°"
+        right, below = left + side, top + side
         return [
             Label("φ", left + side / 2 + 5 * unit, top + 3 * unit, _FAINT, 13),
-            Label("θ", left + side - 6 * unit, top + side / 2 + 3 * unit, _FAINT, 13, "right"),
+            Label("θ", right - 6 * unit, top + side / 2 + 3 * unit, _FAINT, 13, "right"),
             Label("base", left + 8 * unit, below, BASE, 13),
             Label("target", left + side / 2 - 4 * unit, below, TARGET, 13, "middle"),
-            Label(reach, left + side - 8 * unit, below, _FAINT, 13, "right"),
+            Label(f"±{self._reach:.3g}°", right - 8 * unit, below, _FAINT, 13, "right"),
         ]
 
     def _strip(self, canvas: pygame.Surface, strains: Float) -> list[Label]:
@@ -206,25 +203,27 @@ class Panels:
         left, right = margin + 22 * unit, margin + wide - 10 * unit
         first, row = top + 20 * unit, (high - 26 * unit) / 4
         if not self._cells:
-            edges = np.rint(np.linspace(left, right, self._compartments + 1) * fine).tolist()
-            self._cells = _cells(edges, np.rint((first + row * np.arange(5)) * fine).tolist(), fine)
+            columns = np.rint(np.linspace(left, right, self._compartments + 1) * fine).tolist()
+            rows = np.rint((first + row * np.arange(5)) * fine).tolist()
+            gap = fine if columns[1] - columns[0] > 6 * fine else 0
+            self._cells = [
+                pygame.Rect(left, top, max(right - left - gap, 1), max(bottom - top - fine, 1))
+                for top, bottom in pairwise(rows)
+                for left, right in pairwise(columns)
+            ]
         colours = strain_colours(strains).swapaxes(0, 1).reshape(-1, 3).tolist()
         for colour, cell in zip(colours, self._cells, strict=True):
             canvas.fill(colour, cell)
-        labels = [
-            Label(
-                str(spring + 1),
-                margin + 11 * unit,
-                first + (spring - 0.15) * row,
-                SPRINGS[spring],
-                13,
-                "middle",
-            )
-            for spring in range(4)
+        x = margin + 11 * unit
+        return [
+            *(
+                Label(str(index + 1), x, first + (index - 0.15) * row, colour, 13, "middle")
+                for index, colour in enumerate(SPRINGS)
+            ),
+            Label("base", left, top + 3 * unit, _FAINT, 13),
+            Label("tip", right, top + 3 * unit, _FAINT, 13, "right"),
+            *self._scale(canvas, top + 4 * unit),
         ]
-        labels.append(Label("base", left, top + 3 * unit, _FAINT, 13))
-        labels.append(Label("tip", right, top + 3 * unit, _FAINT, 13, "right"))
-        return labels + self._scale(canvas, top + 4 * unit)
 
     def _scale(self, canvas: pygame.Surface, top: float) -> list[Label]:
         """Draw what the colours mean."""
@@ -240,7 +239,7 @@ class Panels:
             canvas.fill(colour, (x, round(top * fine), end - x, round(high * fine)))
         most = 100 * STRAIN_SCALE
         words = f"spring strain  −{most:g} %"
-        if left - 4 * unit - self.width(words, 13) < 36 * unit + self.width("base", 13):
+        if left - 4 * unit - self._width(words, 13) < 36 * unit + self._width("base", 13):
             words = f"−{most:g} %"
         return [
             Label(words, left - 4 * unit, top - unit, _FAINT, 13, "right"),
@@ -248,33 +247,23 @@ class Panels:
         ]
 
 
-def _cells(columns: list[float], rows: list[float], gap: int) -> list[pygame.Rect]:
-    """Give the places of the strains, row by row, between edges in pixels."""
-    between = gap if columns[1] - columns[0] > 6 * gap else 0
-    return [
-        pygame.Rect(left, top, max(right - left - between, 1), max(bottom - top - gap, 1))
-        for top, bottom in pairwise(rows)
-        for left, right in pairwise(columns)
-    ]
+@functools.lru_cache(16)
+def _shade(wide: int, high: int, radius: int) -> pygame.Surface:
+    """Give what is behind the texts of a panel."""
+    shade = pygame.Surface((wide, high), pygame.SRCALPHA, 32)
+    pygame.draw.rect(shade, _PANEL, shade.get_rect(), border_radius=radius)
+    return shade
 
 
-@functools.cache
-def _fading(count: int) -> list[Colour]:
-    """Shades of the trace's pieces, from old to new."""
-    red, green, blue = BASE
-    shares = [0.25 + 0.75 * (index + 1) / count for index in range(count)]
-    return [
-        (round(30 + k * (red - 30)), round(30 + k * (green - 30)), round(30 + k * (blue - 30)))
-        for k in shares
-    ]
-
-
-def status_lines(title: str, history: History, notes: Sequence[str]) -> list[tuple[str, Colour]]:
+def status_lines(title: str, history: History, notes: Sequence[str]) -> list[Line]:
     """Give the lines of figures of an episode."""
     theta, phi = history.trace[-1]
-    lines = [(title, _TEXT), (f"{history.time:.2f} s", _TEXT)]
-    lines.append((f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−"), BASE))
-    lines.append((f"error {history.tracking_error:.2f}°", _TEXT))
+    lines: list[Line] = [
+        (title, _TEXT),
+        (f"{history.time:.2f} s", _TEXT),
+        (f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−"), BASE),
+        (f"error {history.tracking_error:.2f}°", _TEXT),
+    ]
     if history.steps:
         lines.append((f"return {history.total:.1f} of {history.steps}", _TEXT))
     lines += [(each, _ALARM) for each in history.disturbances]

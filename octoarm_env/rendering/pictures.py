@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from octoarm_env.arguments import flag
 from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer, Sheet
     from octoarm_env.rendering.window import Window
     from octoarm_env.settings import EpisodeSettings
-
-__all__ = ["Pictures", "Subject", "render_fps", "warn_without_mode"]
 
 Float = NDArray[np.float64]
 
@@ -59,12 +58,8 @@ class Pictures:
 
     Args:
         settings: of each environment.
-        render_mode: None, or one of the next argument.
         render_modes: that there are.
-        width: of a picture, 16 to 4096 [pixels].
-        height: of a picture, 16 to 4096 [pixels].
-        camera: a `Camera`, a name in `CAMERAS`, or None for the default.
-        overlay: whether figures, phase portrait and strains are in the picture.
+        render_mode, width, height, camera, overlay: as `OctoArmEnv` takes them.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
@@ -83,10 +78,8 @@ class Pictures:
         if render_mode is not None and render_mode not in render_modes:
             known = ", ".join(repr(mode) for mode in render_modes)
             raise ValueError(f"render_mode = {render_mode!r}: expected None or one of {known}")
-        if not isinstance(overlay, bool | np.bool_):
-            raise TypeError(f"overlay = {overlay!r}: expected True or False")
         self._size, self._camera = picture_size(width, height), find_camera(camera)
-        self._overlay, self._settings = bool(overlay), settings
+        self._overlay, self._settings = flag("overlay", overlay), settings
         self._renderers: OrderedDict[str, Renderer] = OrderedDict()
         self._sheet: Sheet | None = None
         self._window: Window | None = None
@@ -150,8 +143,7 @@ class Pictures:
     def _renderer(self, index: int, subject: Subject) -> Renderer:
         from octoarm_env.rendering.renderer import Renderer, Sheet
 
-        if self._sheet is None:
-            self._sheet = Sheet(self._size)
+        self._sheet = self._sheet or Sheet(self._size)
         settings = self._settings[index]
         text = settings.text
         if text not in self._renderers:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,14 +9,11 @@ from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.body import Body
 from octoarm_env.rendering.camera import Camera, View, find_camera, picture_size
 from octoarm_env.rendering.history import History
-from octoarm_env.rendering.panels import Panels, status_lines
+from octoarm_env.rendering.panels import Line, Panels, status_lines
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import draw_water
 
-__all__ = ["Renderer", "Sheet"]
-
 Float = NDArray[np.float64]
-Frame = NDArray[np.uint8]
 
 _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""
@@ -81,13 +76,12 @@ class Renderer:
         self.notes: tuple[str, ...] = ()
         """More lines among the figures."""
         self._parameters, self._orbit, self._range = parameters, orbit, action_range
-        self._sheet = sheet or Sheet(self.size)
-        self._fine = self._sheet.fine
+        sheet = sheet or Sheet(self.size)
+        self._fine, self._canvas, self._picture = sheet.fine, sheet.canvas, sheet.picture
         self._body = Body(parameters, orbit, action_range, self._fine)
         self._stage = self._body.stage
         count = parameters.compartments
         self._panels = Panels(self.size, self._fine, orbit, 1.06 * action_range, count)
-        self._canvas, self._picture = self._sheet.canvas, self._sheet.picture
         self._water = self._canvas.copy()
         self._view: View | None = None
         self._drawn_for: tuple[Camera, bool] | None = None
@@ -122,8 +116,7 @@ class Renderer:
         if self.overlay:
             lengths = np.linalg.norm(np.diff(joints, axis=0), axis=2)
             strains = lengths / self._parameters.rest_length - 1.0
-            labels = self._panels.draw(self._canvas, history, strains)
-            labels += self._panels.figures(self._canvas, self._lines(history))
+            labels = self._panels.draw(self._canvas, history, strains, self._lines(history))
         if self._fine == 1:
             self._picture.blit(self._canvas, (0, 0))
         else:
@@ -132,7 +125,7 @@ class Renderer:
             self._panels.write(self._picture, labels)
         return self._picture
 
-    def frame(self, joints: Float, history: History) -> Frame:
+    def frame(self, joints: Float, history: History) -> NDArray[np.uint8]:
         """Draw a picture as an array of its own, (height, width, 3), 0 to 255."""
         pixels = pygame.image.tobytes(self.draw(joints, history), "RGB")
         width, height = self.size
@@ -158,7 +151,7 @@ class Renderer:
         longest = float(np.abs(angles).max()) or 1.0
         return size * self._range * angles / longest
 
-    def _lines(self, history: History) -> list[Any]:
+    def _lines(self, history: History) -> list[Line]:
         factor = self.camera.exaggeration
         notes = (f"sideways ×{factor:.3g}", *self.notes) if factor != 1.0 else self.notes
         return status_lines(self.title, history, notes)

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["tile_images"]
-
 
 def tile_images(
     images: Sequence[NDArray[np.uint8]], *, columns: int | None = None, gap: int = 0
@@ -53,9 +51,6 @@ def tile_images(
     rows = -(-len(frames) // columns)
     whole = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.uint8)
     for index, frame in enumerate(frames):
-        top, left = (
-            part * step
-            for part, step in zip(divmod(index, columns), (height + gap, width + gap), strict=True)
-        )
+        top, left = index // columns * (height + gap), index % columns * (width + gap)
         whole[top : top + height, left : left + width] = frame
     return whole

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_env.rendering.camera import Stage, View
+from octoarm_env.rendering.colours import Colour
 from octoarm_env.rendering.toolkit import pygame
-
-__all__ = ["HAZE", "draw_shadow", "draw_water"]
 
 Float = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ def draw_shadow(surface: pygame.Surface, view: View, stage: Stage, rings: Float)
 def _draw_seabed(surface: pygame.Surface, view: View, stage: Stage) -> None:
     middle = stage.at(0.5)
     middle = middle - (middle @ stage.up - stage.floor) * stage.up
-    along, across = _level(stage.up)
+    along, across = stage.level
     reach = 2.7 * stage.radius
     angles = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     circle = np.outer(np.cos(angles), along) + np.outer(np.sin(angles), across)
@@ -78,9 +77,8 @@ def _draw_seabed(surface: pygame.Surface, view: View, stage: Stage) -> None:
                 at = (int(0.5 * (begin[0] + end[0])), int(0.5 * (begin[1] + end[1])))
                 if not surface.get_rect().collidepoint(at):
                     continue
-                under = np.array(surface.get_at(at)[:3], dtype=np.float64)
-                shade = under + 0.22 * max(0.0, 1.0 - share) * (255.0 - under)
-                pygame.draw.line(surface, _colour(shade), begin, end)
+                shade = _lighter(surface, at, 0.22 * max(0.0, 1.0 - share))
+                pygame.draw.line(surface, shade, begin, end)
 
 
 def _draw_drifting(surface: pygame.Surface, view: View, stage: Stage) -> None:
@@ -95,16 +93,9 @@ def _draw_drifting(surface: pygame.Surface, view: View, stage: Stage) -> None:
     for (x, y), share in zip(pixels.tolist(), near.tolist(), strict=True):
         if not frame.collidepoint(x, y):
             continue
-        under = np.array(surface.get_at((int(x), int(y)))[:3], dtype=np.float64)
         radius = max(1.0, share * surface.get_height() / 420)
-        pygame.draw.circle(surface, _colour(under + 0.3 * share * (255.0 - under)), (x, y), radius)
-
-
-def _level(up: Float) -> tuple[Float, Float]:
-    some = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    along = some - (some @ up) * up
-    along /= np.linalg.norm(along)
-    return along, np.cross(up, along)
+        shade = _lighter(surface, (int(x), int(y)), 0.3 * share)
+        pygame.draw.circle(surface, shade, (x, y), radius)
 
 
 def _hull(points: list[list[float]]) -> list[list[float]]:
@@ -125,6 +116,12 @@ def _hull(points: list[list[float]]) -> list[list[float]]:
     return hull
 
 
-def _colour(shade: Float) -> tuple[int, int, int]:
+def _lighter(surface: pygame.Surface, at: tuple[int, int], share: float) -> Colour:
+    """Give the colour of a pixel on its way to white."""
+    under = np.array(surface.get_at(at)[:3], dtype=np.float64)
+    return _colour(under + share * (255.0 - under))
+
+
+def _colour(shade: Float) -> Colour:
     red, green, blue = np.clip(np.rint(shade), 0, 255).astype(int).tolist()
     return red, green, blue

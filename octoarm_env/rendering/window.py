@@ -6,7 +6,6 @@ import dataclasses
 import os
 import time
 import weakref
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,8 +16,6 @@ from octoarm_env.rendering.history import History
 from octoarm_env.rendering.renderer import Renderer
 from octoarm_env.rendering.toolkit import pygame
 
-__all__ = ["WITHOUT_DISPLAY", "Window", "WindowError"]
-
 Float = NDArray[np.float64]
 
 _FRAME_TIME = 1 / 60
@@ -28,6 +25,21 @@ _SMALLEST = 160
 _TURN = 0.4
 """Degrees around the arm for a pixel of the mouse."""
 _EXAGGERATIONS = (1.0, 2.0, 4.0, 8.0)
+_ARROWS = {
+    pygame.K_LEFT: (-0.1, 0.0),
+    pygame.K_RIGHT: (0.1, 0.0),
+    pygame.K_UP: (0.0, 0.1),
+    pygame.K_DOWN: (0.0, -0.1),
+}
+_LETTERS = {
+    pygame.K_SPACE: " ",
+    pygame.K_PERIOD: ".",
+    pygame.K_ESCAPE: "q",
+    pygame.K_1: "1",
+    pygame.K_KP_PLUS: "+",
+    pygame.K_KP_MINUS: "-",
+}
+"""Keys that count wherever they are; the others by what they write."""
 _HELP = (
     "space  pause      .  one step",
     "+ −  speed        1  real time",
@@ -223,50 +235,39 @@ class Window:
             self._screen = pygame.display.get_surface() or self._screen
             self._stale = True
 
-    def _key(self, event: Any) -> None:
-        arrows = {
-            pygame.K_LEFT: (-0.1, 0.0),
-            pygame.K_RIGHT: (0.1, 0.0),
-            pygame.K_UP: (0.0, 0.1),
-            pygame.K_DOWN: (0.0, -0.1),
-        }
-        if self._lead and event.key in arrows:
-            self._shift(np.array(arrows[event.key]))
+    def _key(self, event: Any) -> None:  # noqa: PLR0912, a branch a key
+        if self._lead and event.key in _ARROWS:
+            self._shift(np.array(_ARROWS[event.key]))
             return
-        actions: dict[int, Callable[[], None]] = {
-            pygame.K_SPACE: self._pause,
-            pygame.K_PERIOD: self._step,
-            pygame.K_ESCAPE: self.close,
-            pygame.K_1: lambda: self._set_speed(1.0),
-            pygame.K_KP_PLUS: lambda: self._set_speed(2 * self.speed),
-            pygame.K_KP_MINUS: lambda: self._set_speed(self.speed / 2),
-        }
-        words: dict[str, Callable[[], None]] = {
-            "+": actions[pygame.K_KP_PLUS],
-            "=": actions[pygame.K_KP_PLUS],
-            "-": actions[pygame.K_KP_MINUS],
-            "c": self._next_camera,
-            "h": self._toggle_help,
-            "o": self._toggle_overlay,
-            "q": self.close,
-            "r": self._restore,
-            "x": self._exaggerate,
-        }
-        letter = getattr(event, "unicode", "")
-        act = actions.get(event.key) or words.get(letter)
-        if act is not None:
-            act()
-            self._stale = True
-            self._looked = letter in ("c", "h", "o", "r", "x")
-
-    def _pause(self) -> None:
-        self.paused = not self.paused
-
-    def _step(self) -> None:
-        self.paused = self._one_step = True
-
-    def _set_speed(self, speed: float) -> None:
-        self.speed = min(max(speed, _SPEEDS[0]), _SPEEDS[1])
+        letter = _LETTERS.get(event.key, getattr(event, "unicode", ""))
+        match letter:
+            case " ":
+                self.paused = not self.paused
+            case ".":
+                self.paused = self._one_step = True
+            case "1":
+                self.speed = 1.0
+            case "+" | "=":
+                self.speed = min(2 * self.speed, _SPEEDS[1])
+            case "-":
+                self.speed = max(self.speed / 2, _SPEEDS[0])
+            case "c":
+                self._next_camera()
+            case "h":
+                self._help = not self._help
+            case "o":
+                self._renderer.overlay = not self._renderer.overlay
+            case "q":
+                self.close()
+            case "r":
+                self._renderer.camera, self.speed = self._camera, self._speed
+                self.lean = np.zeros(2)
+            case "x":
+                self._exaggerate()
+            case _:
+                return
+        self._stale = True
+        self._looked = letter in "chorx"
 
     def _next_camera(self) -> None:
         cameras = list(CAMERAS.values())
@@ -280,13 +281,3 @@ class Window:
         now = self._renderer.camera.exaggeration
         larger = next((factor for factor in _EXAGGERATIONS if factor > now), _EXAGGERATIONS[0])
         self._renderer.camera = dataclasses.replace(self._renderer.camera, exaggeration=larger)
-
-    def _toggle_help(self) -> None:
-        self._help = not self._help
-
-    def _toggle_overlay(self) -> None:
-        self._renderer.overlay = not self._renderer.overlay
-
-    def _restore(self) -> None:
-        self._renderer.camera, self.speed = self._camera, self._speed
-        self.lean = np.zeros(2)

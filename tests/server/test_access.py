@@ -30,6 +30,7 @@ from clients import (
     status_of,
     tensor,
     wait_for_levels,
+    wait_until,
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
 from dm_env_rpc.v1.extensions import properties_pb2
@@ -573,7 +574,8 @@ def test_every_option_may_stand_in_a_file(
         open_channel(server.address, certificate.credentials) as channel,
         Client(channel=channel, token=TOKEN) as client,
     ):
-        assert json.loads(server.log.splitlines()[0])["message"] == "listening"
+        log = wait_until(lambda: "\n" in server.log and server.log, "a line of the log")
+        assert json.loads(log.splitlines()[0])["message"] == "listening"
         assert refusal(client, num_envs=5).code == INVALID_ARGUMENT
         assert "allows 15600" in refusal(client, control_period=0.02).message
         client.create()

@@ -111,7 +111,7 @@ def test_a_peer_that_stops_answering_is_given_up() -> None:
 
 
 def test_a_client_that_reads_no_answers_keeps_nothing() -> None:
-    options = ("--idle-timeout", "1", "--metrics-port", "0")
+    options = ("--idle-timeout", "3", "--metrics-port", "0")
     with (
         ServerProcess(*options) as server,
         nothing_left(server),
@@ -136,7 +136,7 @@ def test_a_client_that_reads_no_answers_keeps_nothing() -> None:
 
 
 def test_an_idle_stream_is_ended_and_its_worlds_are_freed() -> None:
-    options = ("--idle-timeout", "1", "--metrics-port", "0")
+    options = ("--idle-timeout", "3", "--metrics-port", "0")
     with (
         ServerProcess(*options) as server,
         nothing_left(server),
@@ -151,14 +151,14 @@ def test_an_idle_stream_is_ended_and_its_worlds_are_freed() -> None:
         wait_for_levels(server, streams=4, worlds=4)
         wait_for_levels(server, streams=1, worlds=1)
         for client in (joined, owner, silent):
-            with pytest.raises(grpc.RpcError, match=r"no request for 1 s \(idle_timeout\)") as end:
+            with pytest.raises(grpc.RpcError, match=r"no request for 3 s \(idle_timeout\)") as end:
                 client.read()
             assert end.value.code() is Code.DEADLINE_EXCEEDED
         assert metrics(server)["octoarm_idle_streams_total"] == 3
 
 
 def test_streams_that_wait_for_each_other_do_not_wait_forever() -> None:
-    options = ("--idle-timeout", "0.5", "--metrics-port", "0")
+    options = ("--idle-timeout", "3", "--metrics-port", "0")
     with (
         ServerProcess(*options) as server,
         nothing_left(server),
@@ -170,7 +170,7 @@ def test_streams_that_wait_for_each_other_do_not_wait_forever() -> None:
         for client, other in ((first, second), (second, first)):
             reset = pb.ResetWorldRequest(world_name=other.world)
             client.send(pb.EnvironmentRequest(reset_world=reset))
-        wait_for_levels(server, worlds=0, timeout=8.0)
+        wait_for_levels(server, worlds=0)
         for client in (first, second):
             assert status_of(client) is Code.DEADLINE_EXCEEDED
 
@@ -191,15 +191,15 @@ def connect_and_drop(server: ServerProcess, number: int) -> None:
             client.enter().step()
 
 
-def test_a_thousand_connections_come_and_go(server: ServerProcess) -> None:
+def test_many_connections_come_and_go(server: ServerProcess) -> None:
     def come_and_go(count: int) -> float:
         for number in range(count):
             connect_and_drop(server, number)
         wait_for_levels(server, connections=1, streams=1, worlds=1)
         return metrics(server)["process_resident_memory_bytes"]
 
-    warm = come_and_go(200)
-    after = come_and_go(1000)
+    warm = come_and_go(100)
+    after = come_and_go(400)
     # An allocator may keep some pages more; it is 0.1 MiB. A world takes 35 KiB, a connection 27:
-    # if those that came and went were kept, it would be 17 MiB for the one, 27 for the other.
+    # if those that came and went were kept, it would be 7 MiB for the one, 11 for the other.
     assert after - warm < 4 << 20

@@ -232,7 +232,7 @@ def test_an_interrupt_while_it_is_made(quiet_server: ServerProcess) -> None:
                 env = RemoteOctoArm(address)
             if env is not None:
                 env.close()
-        for milliseconds in range(1, 40, 2):
+        for milliseconds in range(1, 40, 4):
             env = None
             with signal_after(1e-3 * milliseconds, KeyboardInterrupt):
                 env = gym.make("OctoArmRemote-v0", address=address)

@@ -94,7 +94,7 @@ def test_random_bytes_as_messages(server: ServerProcess) -> None:
     )
     with open_channel(server.address) as channel:
 
-        @hypothesis.settings(max_examples=150, deadline=None, database=None)
+        @hypothesis.settings(max_examples=60, deadline=None, database=None)
         @hypothesis.given(st.lists(st.binary(max_size=200) | corrupted, min_size=1, max_size=4))
         def answered_or_ended(messages: list[bytes]) -> None:
             with Client(channel=channel, raw=True, timeout=PATIENCE) as client:
@@ -404,7 +404,7 @@ def test_well_formed_nonsense() -> None:
     ):
 
         @hypothesis.settings(
-            max_examples=120,
+            max_examples=50,
             deadline=None,
             database=None,
             suppress_health_check=[hypothesis.HealthCheck.too_slow],
@@ -487,7 +487,7 @@ def test_states_that_were_tampered_with(server: ServerProcess, world: dict[str, 
         client.ask(write_request("state", good))
         after = client.observe()
 
-        @hypothesis.settings(max_examples=150, deadline=None, database=None)
+        @hypothesis.settings(max_examples=60, deadline=None, database=None)
         @hypothesis.given(st.integers(0, 10_000), odd | st.floats(-1e3, 1e3))
         def refused_or_followed(place: int, value: Any) -> None:
             client.ask(write_request("state", good))

@@ -39,7 +39,7 @@ def test_a_world_that_takes_ages_to_make_keeps_no_one_waiting() -> None:
     with (
         ServerProcess(*options) as server,
         Client(server.address) as client,
-        Client(server.address, timeout=5.0) as other,
+        Client(server.address, timeout=PATIENCE) as other,
     ):
         create = pb.CreateWorldRequest(settings=endless)
         client.send(pb.EnvironmentRequest(create_world=create))
@@ -63,7 +63,7 @@ def test_a_stream_that_ends_while_its_step_waits_for_a_thread() -> None:
         time.sleep(0.2)
         waiting.close()
         busy.read()
-        wait_for_levels(server, worlds=1, timeout=5.0)
+        wait_for_levels(server, worlds=1)
 
 
 def test_a_reset_of_another_s_world_waits_for_its_step(server: ServerProcess) -> None:
