@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 from octoarm_agents.reservoir import Readout, orbit_distance
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
@@ -34,6 +33,7 @@ from octoarm_agents.reservoir.closed_loop import (
     recovery_steps,
     score_window,
 )
+from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from octoarm_agents.reservoir.cycles import CYCLES
 from octoarm_agents.reservoir.closed_loop import (
     FORCED_STEPS,
     WINDOW_STEPS,
     ClosedLoop,
     score_window,
 )
+from octoarm_agents.reservoir.cycles import CYCLES
 from octoarm_agents.reservoir.teaching import Lesson
 from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 

@@ -192,7 +192,7 @@ def _lost_though_stable(result: Mapping[str, Any]) -> ResultTable:
 
 
 def draw(result: Mapping[str, Any]) -> Figure:
-    """Exponents over ν, a row an R and a column a cycle; below, all loops and what became of them."""
+    """Exponents over ν, a row an R and a column a cycle; below, what became of all loops."""
     cycles = result["cycles"]
     rows = max(len(entries) for entries in cycles.values())
     figure = new_figure(13.0, 3.2 + 2.7 * rows)
