@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from octoarm_agents.common.intervals import bootstrap_interval, summarise, welch_p_value
 from octoarm_agents.common.trials import run_trials
-from octoarm_agents.experiments import EXPERIMENTS, figure5a
+from octoarm_agents.experiments import EXPERIMENTS
+from octoarm_agents.experiments.emulation import figure5a
+from octoarm_agents.experiments.emulation.figure5a import RANGES, SENSOR_NOISE, check_features
 from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
     TASKS,
     Drive,
     fit_readout,
-    record_lengths,
     record_many,
     score_features,
-    trial_streams,
 )
 from octoarm_agents.experiments.emulation.trials import (
     compare_methods,
@@ -54,7 +54,8 @@ def drive():
 
 @pytest.fixture(scope="module")
 def lengths(drive):
-    return record_lengths(ArmParameters(), drive, RANGE)
+    (lengths,) = record_many([Arm()], [drive], [RANGE])
+    return lengths
 
 
 def test_a_trial_has_the_phases_of_section_2_2_1():
@@ -76,8 +77,6 @@ def test_a_trial_is_the_same_from_the_same_seed_and_number():
     np.testing.assert_array_equal(first.signal, again.signal)
     for different in (other, seed):
         assert not np.array_equal(first.signal[:60], different.signal[:60])
-    streams = [trial_streams(3, 1, count) for count in (1, 2)]
-    assert streams[0][0].random() == streams[1][0].random()
     with pytest.raises(ValueError, match="kind = 'noise': expected one of"):
         Drive.make("noise", 0, 0)
 
@@ -118,15 +117,13 @@ def test_arms_are_recorded_together_as_alone():
     amplitudes = [60.0, 45.0, 200.0, 20.0]
     together = record_many([Arm(body) for body in bodies], drives, amplitudes)
     for index, recording in enumerate(together):
-        single = (bodies[index], drives[index], amplitudes[index])
+        (alone,) = record_many([Arm(bodies[index])], [drives[index]], [amplitudes[index]])
         if index == 2:
             assert isinstance(recording, DomainError)
-            with pytest.raises(DomainError) as caught:
-                record_lengths(*single)
-            assert str(recording) == str(caught.value)
-            assert (recording.step, recording.time) == (caught.value.step, caught.value.time)
+            assert str(recording) == str(alone)
+            assert (recording.step, recording.time) == (alone.step, alone.time)
         else:
-            np.testing.assert_array_equal(recording, record_lengths(*single))
+            np.testing.assert_array_equal(recording, alone)
     finer = Arm(ArmParameters(timestep=0.0005))
     with pytest.raises(ValueError, match="timestep = 0.0005"):
         record_many([Arm(), Arm(), finer], drives[:3], amplitudes[:3])
@@ -330,7 +327,7 @@ def test_noise_on_the_lengths_is_there_in_training_and_test(drive, lengths):
     result = score_arm(
         ArmParameters(), kind="sines", amplitude=RANGE, seed=0, trial=0, sensor_noise=levels
     )
-    (stream,) = trial_streams(0, 0, 1)
+    (stream,) = np.random.default_rng([0, 0]).spawn(1)
     for level, scores in zip(levels, result["sensor_noise"], strict=True):
         seen = lengths + stream.uniform(-level, level, lengths.shape)
         readout = Readout().fit(seen[drive.training], drive.targets[drive.training])
@@ -470,5 +467,5 @@ def test_bad_requests_are_explained(octoarm, tmp_path):
 def test_help_explains_every_experiment(octoarm):
     run = octoarm("reproduce", "--help")
     assert run.exit_code == 0
-    for name, title in EXPERIMENTS.items():
-        assert any(name in line and title in line for line in run.stdout.splitlines())
+    for name, entry in EXPERIMENTS.items():
+        assert any(name in line and entry.help in line for line in run.stdout.splitlines())

@@ -5,15 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from octoarm_agents.experiments import figure11, figure12, figure13, floquet, limit_cycles, task2
-from octoarm_agents.experiments.cycle_series import align_orbit, phase_shift
+from octoarm_agents.experiments.cycles import (
+    figure11,
+    figure12,
+    figure13,
+    floquet,
+    limit_cycles,
+    taught,
+)
 from octoarm_agents.experiments.cycles.floquet_trials import (
     is_stable,
     is_thrown_far,
     leading_exponent,
 )
-from octoarm_agents.experiments.task2 import TaughtCycle, largest_recovered
-from octoarm_agents.experiments.task2_trials import (
+from octoarm_agents.experiments.cycles.limit_cycles import largest_recovered
+from octoarm_agents.experiments.cycles.series import align_orbit, phase_shift
+from octoarm_agents.experiments.cycles.taught import TaughtCycle
+from octoarm_agents.experiments.cycles.trials import (
     BURST_BEGIN,
     BURST_END,
     disturb_cycle,
@@ -72,7 +80,7 @@ def reproduce(octoarm, out, monkeypatch):
         monkeypatch.setitem(CYCLES, target, teachings)
     for module in (limit_cycles, figure11):
         monkeypatch.setattr(module, "BURSTS", (1e-4, 10.0))
-    monkeypatch.setattr(task2, "NOISE_SEEDS", 2)
+    monkeypatch.setattr(taught, "NOISE_SEEDS", 2)
 
     def run(name, *options):
         options = ("--jobs", 1, "--out", out, "--arm", out / "body.json", *options)
@@ -315,8 +323,8 @@ class TestTrials:
         assert np.shape(begin["lengths_metres"]) == (5, len(begin["step"]))
 
     def test_a_run_that_ends_early_has_no_scores(self, lissajous):
-        weights = (3.0 * np.array(lissajous["weights"])).tolist()
-        result = hold_cycle(BODY, **lissajous | {"weights": weights}, steps=10_000)
+        weights = (3.0 * np.array(lissajous["loop"]["weights"])).tolist()
+        result = hold_cycle(BODY, loop=lissajous["loop"] | {"weights": weights}, steps=10_000)
         assert result["survived"] is False
         assert result["scores"] is None
         assert result["steps"] == result["failure"]["step"] < 10_000
@@ -342,7 +350,7 @@ class TestTrials:
         assert result["recovered"] is False
         assert result["failure"]["reason"] == "domain"
         assert BURST_BEGIN <= result["failure"]["step"] < BURST_END
-        assert "series" not in result
+        assert "series" in result
 
     def test_a_small_nudge_goes_on_in_proportion(self, lissajous):
         # Differences are linear in a nudge far below what bends the body's answer: their squares

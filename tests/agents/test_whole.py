@@ -53,7 +53,7 @@ CALLS: dict[str, tuple[str, Any]] = {
     "Comparison": ("seeds", lambda n: Comparison(seeds=n)),
     "Cell": ("seed", lambda n: Cell("ppo", "quadratic", n, 1.0, Path())),
     "DemoSettings": ("steps", lambda n: DemoSettings(steps=n)),
-    "Context": ("trials", lambda n: RunSettings(Path(), trials=n)),
+    "RunSettings": ("trials", lambda n: RunSettings(Path(), trials=n)),
     "SurveySettings": ("samples", lambda n: SurveySettings(samples=n)),
     "initial_steps": ("trials", initial_steps),
     "lyapunov": ("steps", lambda n: largest_lyapunov_exponent(lambda s, k: s, np.ones(2), n)),

@@ -31,7 +31,7 @@ from octoarm_agents.experiments.emulation.trials import (
     make_trials,
     note_failures,
 )
-from octoarm_agents.experiments.plots import number_compartments, say_missing
+from octoarm_agents.experiments.plots import number_compartments
 from octoarm_agents.experiments.runner import Experiment, RefusedError, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_spread
 
@@ -111,7 +111,7 @@ class Ratio:
         for axes, task in zip(panels, TASKS, strict=True):
             ratio = result["tasks"][task][self.key]
             if ratio["mean"][0] is None:
-                say_missing(axes, {"message": "every trial failed"})
+                axes.text(0.5, 0.5, "every trial failed", transform=axes.transAxes, ha="center")
             else:
                 axes.bar(
                     compartments,

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
+    GREY,
     ORANGE,
     TASK_LABELS,
     VERMILLION,
@@ -29,7 +30,7 @@ from octoarm_agents.experiments.emulation.protocol import (
     record_many,
 )
 from octoarm_agents.experiments.emulation.trials import SPRINGS_PER_COMPARTMENT
-from octoarm_agents.experiments.plots import compartment_colours, say_missing
+from octoarm_agents.experiments.plots import compartment_colours
 from octoarm_agents.experiments.runner import Experiment, RunSettings, round_numbers
 from octoarm_agents.experiments.tables import ResultTable, format_number
 from octoarm_agents.reservoir.baselines import linear
@@ -113,7 +114,8 @@ def draw(result: Mapping[str, Any]) -> Figure:
     for spring, axes in enumerate(springs):
         axes.set_ylabel(f"length of\nspring {spring + 1} (mm)")
         if lengths is None:
-            say_missing(axes, result["failure"])
+            message = result["failure"]["message"]
+            axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", color=GREY)
             continue
         rows = lengths[spring::SPRINGS_PER_COMPARTMENT]
         for values, colour in zip(rows, compartment_colours(len(rows)), strict=True):
