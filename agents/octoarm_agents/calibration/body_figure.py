@@ -72,7 +72,8 @@ def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:
         leaders.append(leader)
     for task, colour in TASK_COLOURS.items():
         points = [(k, each.ratios[task]) for k, each in enumerate(tried) if each.ratios is not None]
-        axes.scatter(*zip(*points, strict=True), s=9, color=colour, alpha=0.5, linewidths=0)
+        x, y = zip(*points, strict=True)
+        axes.scatter(x, y, s=9, color=colour, alpha=0.5, linewidths=0)
         axes.step(
             range(len(tried)),
             [ratios.get(task, math.nan) for ratios in leaders],
