@@ -9,7 +9,7 @@ import re
 from array import array
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from fnmatch import fnmatchcase
+from fnmatch import translate
 from itertools import islice
 from pathlib import Path
 
@@ -30,12 +30,6 @@ _GAPS = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none"} | {
 _COMMENTS = ("#", "%")
 
 _UNIT = re.compile(r"\s*(?:\[(?P<a>.*)\]|\((?P<b>.*)\)|\s/\s(?P<c>.*))$")
-
-
-class _NotANumberError(ValueError):
-    def __init__(self, place: str, cell: str) -> None:
-        super().__init__(f"{place}: {cell[:60]!r} is not a number")
-        self.place, self.cell = place, cell
 
 
 class CsvFile:
@@ -74,7 +68,7 @@ class CsvFile:
         for number, line in enumerate(lines):
             if before and (separator := re.fullmatch(r"sep=([^\r\n\"])[\r\n]*", line)):
                 lines[number], delimiter = "\n", separator[1]
-            elif line.startswith(_COMMENTS) and _word(re.split("[;,\t]", line)[0]) not in _GAPS:
+            elif line.startswith(_COMMENTS) and _number(re.split("[;,\t]", line)[0]) is None:
                 lines[number] = "\n"
                 comment = line if before else comment
             elif line.strip():
@@ -183,14 +177,9 @@ class CsvFile:
                 return found
         if "*" in item or "?" in item:
             # Square brackets enclose a unit, not a set of characters.
-            pattern = item.replace("[", "[[]")
-            matches = zip(self.names, bare, strict=True)
-            found = [
-                column
-                for column, names in enumerate(matches)
-                if any(fnmatchcase(name, pattern) for name in names)
-            ]
-            if found:
+            like = re.compile(translate(item.replace("[", "[[]"))).match
+            pairs = enumerate(zip(self.names, bare, strict=True))
+            if found := [column for column, names in pairs if any(map(like, names))]:
                 return found
         numbered = re.fullmatch(r"(\d+)(?:-(\d+))?", item)
         if numbered:
@@ -208,42 +197,33 @@ class CsvFile:
         Raises:
             ValueError: a cell with anything else, decimal points and commas together, or no rows.
         """
-        try:
-            values = self._parse(columns, decimal_comma=False)
-        except _NotANumberError as point:
-            if "," not in point.cell:
-                raise
-            try:
-                values = self._parse(columns, decimal_comma=True)
-            except _NotANumberError as comma:
-                if "." not in comma.cell:
-                    raise
-                raise ValueError(
-                    f"{comma.place}: {comma.cell!r} has a decimal point, but {point.cell!r} has a "
-                    "comma: expected one of them in all columns, and none between thousands"
-                ) from None
-        if not len(values):
-            raise ValueError(f"{self.path}: no rows of numbers")
-        return values
-
-    def _parse(self, columns: Sequence[int], decimal_comma: bool) -> Float:
-        values = array("d")
+        values, marks = array("d"), dict[str, str]()
         for line, cells in self._data():
+            row = [cells[column] for column in columns]
+            text = "".join(row)
+            for mark in ".,":
+                if mark in text and mark not in marks:
+                    marks[mark] = next(cell.strip() for cell in row if mark in cell)
+                    if len(marks) == 2:
+                        raise ValueError(
+                            f"{self.path}: line {line}: {marks['.']!r} has a decimal point, but "
+                            f"{marks[',']!r} has a comma: expected one of them in all columns, and "
+                            "none between thousands"
+                        )
             try:
-                if decimal_comma:
-                    raise ValueError  # each cell must be looked at
-                values.extend([float(cells[column]) for column in columns])
+                values.extend([float(cell) for cell in row])
             except ValueError:
-                for column in columns:
-                    number = _number(cells[column], decimal_comma)
-                    if number is None:
-                        place, cell = self._place(line, column), cells[column].strip()
-                        if _stamp(cell) is not None:
-                            cell_is = f"{place}: {cell!r} is a time: --time-column takes its column"
-                            raise ValueError(cell_is) from None
-                        raise _NotANumberError(place, cell) from None
-                    values.append(number)
+                values.extend([self._cell(line, cells, column) for column in columns])
+        if not values:
+            raise ValueError(f"{self.path}: no rows of numbers")
         return np.array(values).reshape(-1, len(columns))
+
+    def _cell(self, line: int, cells: Sequence[str], column: int) -> float:
+        number, cell = _number(cells[column]), cells[column].strip()
+        if number is None:
+            kind = "a time: --time-column takes its column" if _stamp(cell) else "not a number"
+            raise ValueError(f"{self._place(line, column)}: {cell[:60]!r} is {kind}")
+        return number
 
     def times(self, column: int) -> Times:
         """A column of times: numbers in the unit of the header, or ISO 8601 in seconds.
@@ -251,8 +231,8 @@ class CsvFile:
         Raises:
             ValueError: a cell that is neither, or none.
         """
-        unit = _UNIT.search(self.names[column])
-        try:
+        first = next((cells[column] for _, cells in self._data()), "")
+        if _number(first) is not None or not _stamp(first):
             values = self.numbers([column])[:, 0]
             gaps = int((~np.isfinite(values)).sum())
             if gaps:
@@ -260,11 +240,8 @@ class CsvFile:
                     f"{self.path}: {gaps} of {len(values)} cells of the time column "
                     f"{self.names[column]!r} are no times"
                 )
+            unit = _UNIT.search(self.names[column])
             return values - values[0], next(filter(None, unit.groups()), "") if unit else ""
-        except ValueError as error:
-            first = next((cells[column] for _, cells in self._data()), "")
-            if _stamp(first) is None:
-                raise error
         seconds = array("d")
         begin = None
         for line, cells in self._data():
@@ -299,32 +276,22 @@ def _delimiter(lines: Sequence[str]) -> str:
     for delimiter in ";\t":
         if delimiter in lines[-1]:
             return delimiter
-    numbers = [_number(line, decimal_comma=True) for line in (*lines[1:2], lines[-1])]
+    numbers = [_number(line) for line in (*lines[1:2], lines[-1])]
     return "," if "," in lines[0] or None in numbers else ";"
 
 
 def _strip(cells: Sequence[str]) -> list[str]:
     """Cells without the empty ones at the right."""
-    kept = list(cells)
-    while kept and not kept[-1].strip():
-        kept.pop()
-    return kept
+    filled = [number for number, cell in enumerate(cells, start=1) if cell.strip()]
+    return list(cells[: max(filled, default=0)])
 
 
-def _word(cell: str) -> str:
-    return cell.strip().lower()
-
-
-def _number(cell: str, decimal_comma: bool) -> float | None:
-    """The number in a cell, NaN for a gap, None for anything else."""
-    if _word(cell) in _GAPS:
+def _number(cell: str) -> float | None:
+    """The number in a cell, with a point or a comma; NaN for a gap, None for anything else."""
+    if cell.strip().lower() in _GAPS:
         return float("nan")
-    if decimal_comma:
-        if "." in cell:
-            return None
-        cell = cell.replace(",", ".")
     try:
-        return float(cell)
+        return float(cell.replace(",", "."))
     except ValueError:
         return None
 
@@ -341,10 +308,10 @@ def _stamp(cell: str) -> datetime | None:
 
 def _is_text(cell: str) -> bool:
     """Whether a cell is neither a number nor a gap nor a time."""
-    return _number(cell, False) is None and _number(cell, True) is None and _stamp(cell) is None
+    return _number(cell) is None and _stamp(cell) is None
 
 
 def _all_text(cells: Sequence[str]) -> bool:
     """Whether a row has text and nothing that is a number or a time."""
-    filled = [cell for cell in cells if _word(cell) not in _GAPS]
+    filled = [cell for cell in cells if cell.strip().lower() not in _GAPS]
     return bool(filled) and all(map(_is_text, filled))

@@ -63,7 +63,7 @@ def calibrate_body(
     whole body, for `ArmParameters.from_json`.
 
     Args:
-        spaces: each is searched by itself; they differ in their readings only.
+        spaces: as all that is not named here, see `search_bodies`.
         evaluations: bodies tried in each space.
         out: folder, which must exist.
         amplitudes: R by cycle that the body must be able to follow on a direct base [degrees].
@@ -71,7 +71,7 @@ def calibrate_body(
         trials: T_ini with which the best body is measured again.
         seed: of the search.
         jobs: processes.
-        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
+        progress: as there.
 
     Returns:
         What ``calibration.json`` holds; None if no body stayed in its domain.

@@ -71,8 +71,9 @@ def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:
             leader, best = each.ratios or {}, each.score
         leaders.append(leader)
     for task, colour in TASK_COLOURS.items():
-        ratios_of_task = [(each.ratios or {}).get(task, math.nan) for each in tried]
-        axes.scatter(range(len(tried)), ratios_of_task, s=9, color=colour, alpha=0.5, linewidths=0)
+        points = [(k, each.ratios[task]) for k, each in enumerate(tried) if each.ratios is not None]
+        x, y = zip(*points, strict=True)
+        axes.scatter(x, y, s=9, color=colour, alpha=0.5, linewidths=0)
         axes.step(
             range(len(tried)),
             [ratios.get(task, math.nan) for ratios in leaders],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,6 @@ FACTORS = (0.5, 0.8, 1.25, 2.0)
 TILTS = (10.0, 45.0, 90.0)
 LIFTS = (1.0, 0.0, -1.0)
 """How each parameter is moved: by factors; gravity by angles [degrees]; lift to these."""
-
-_ALTERNATIVES = {
-    "volume_force": ("applied", "total"),
-    "reference_area": ("wetted", "planform"),
-}
 
 
 @dataclass(frozen=True)
@@ -59,46 +54,34 @@ def changes_of(base: ArmParameters) -> list[Change]:
     Args:
         base: the body.
     """
+
+    def moved(
+        name: str, values: Sequence[Any], label: Callable[[Any], str] = "{:.3g}".format
+    ) -> list[Change]:
+        own = getattr(base, name)
+        return [Change(name, label(each), {name: each}) for each in values if each != own]
+
+    share, density = OPEN_NUMBERS["longitudinal_mass_share"], OPEN_NUMBERS["arm_density"]
     changes = [Change("", "the body as it is", {})]
-    share = OPEN_NUMBERS["longitudinal_mass_share"]
-    changes += [
-        Change("longitudinal_mass_share", f"{value:.3g}", {"longitudinal_mass_share": value})
-        for value in (share.low, 0.5, 2 / 3, 0.8, share.high)
-        if value != base.longitudinal_mass_share
-    ]
-    couplings = [each for each in ("gravity", "inertial") if each != base.base_coupling]
-    changes += [Change("base_coupling", each, {"base_coupling": each}) for each in couplings]
+    changes += moved("longitudinal_mass_share", (share.low, 0.5, 2 / 3, 0.8, share.high))
+    changes += moved("base_coupling", ("gravity", "inertial"), str)
     for name in ("area_scale", "plane_mass", "plane_inertia"):
         value = float(getattr(base, name))
         if value:
             changes += [Change(name, f"× {factor:g}", {name: value * factor}) for factor in FACTORS]
         else:
-            values = [OPEN_NUMBERS[name].value(k / 3) for k in range(4)]
-            changes += [Change(name, f"{each:.3g}", {name: each}) for each in values]
-    density = OPEN_NUMBERS["arm_density"]
-    changes += [
-        Change("arm_density", f"{value:g}", {"arm_density": value})
-        for value in (density.low, 1080.0, 1150.0, density.high)
-        if value != base.arm_density
-    ]
+            changes += moved(name, [OPEN_NUMBERS[name].value(k / 3) for k in range(4)])
+    changes += moved("arm_density", (density.low, 1080.0, 1150.0, density.high), "{:g}".format)
     changes += [
         Change("gravity", f"tilted {angle:g}°", {"gravity": tilt_gravity(base.gravity, angle)})
         for angle in TILTS
     ]
-    changes += [
-        Change("lift_scale", f"{value:+g}" if value else "0", {"lift_scale": value})
-        for value in LIFTS
-        if value != base.lift_scale
-    ]
-    for name, readings in _ALTERNATIVES.items():
-        (other,) = (reading for reading in readings if reading != getattr(base, name))
-        fields: dict[str, Any] = {name: other}
-        label = other
-        if name == "reference_area":
-            factor = math.pi if other == "planform" else 1 / math.pi
-            fields["area_scale"] = base.area_scale * factor
-            label += ", area rescaled"
-        changes.append(Change(name, label, fields))
+    changes += moved("lift_scale", LIFTS, lambda value: f"{value:+g}" if value else "0")
+    changes += moved("volume_force", ("applied", "total"), str)
+    other = "planform" if base.reference_area == "wetted" else "wetted"
+    factor = math.pi if other == "planform" else 1 / math.pi
+    fields = {"reference_area": other, "area_scale": base.area_scale * factor}
+    changes.append(Change("reference_area", f"{other}, area rescaled", fields))
     return changes
 
 
@@ -125,12 +108,7 @@ def probe_change(
         cycle: of the R up to which a direct base can be forced, the largest [degrees], None if that
         is none.
     """
-    result: dict[str, Any] = {
-        "error": None,
-        "task1": None,
-        "outcomes": None,
-        "largest_amplitudes": None,
-    }
+    result: dict[str, Any] = dict.fromkeys(("error", "task1", "outcomes", "largest_amplitudes"))
     try:
         body = parameters.replace(**fields)
         arm = Arm(body)
