@@ -31,7 +31,10 @@ from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
 
-__all__ = ["Training", "train"]
+__all__ = ["JUDGED_STEPS", "Training", "train"]
+
+JUDGED_STEPS = 500
+"""Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
 
 Progress = Callable[[int, float], None]
 
@@ -192,7 +195,7 @@ class _Run(BaseCallback):
         self.envs = VecNormalize(self.monitor, **normalize)
         self.parameters, self.settings = inspect_env(gym.make(ENV_ID, **arguments))
         self.judges = make_vector_env(
-            training.episodes, self.parameters, self.settings, steps=500, threads=1
+            training.episodes, self.parameters, self.settings, steps=JUDGED_STEPS, threads=1
         )
         self.curve: list[dict[str, Any]] = []
         self.seconds = 0.0
@@ -283,7 +286,7 @@ class _Run(BaseCallback):
             },
             self.training.seed,
         )
-        returns = roll_out(policy, self.judges, seed=JUDGING_SEED).returns
+        returns = roll_out(policy, self.judges, seed=JUDGING_SEED, steps=JUDGED_STEPS).returns
         point = {
             "steps": self.model.num_timesteps,
             "seconds": self.seconds,
