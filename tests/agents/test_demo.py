@@ -140,7 +140,7 @@ def test_leaving_the_domain_of_a_body_from_a_file_is_reported(
     assert "Traceback" not in run.output
 
     content = json.loads((tmp_path / "demo.json").read_text(encoding="utf-8"))
-    assert content["body"] == body.to_dict()
+    assert content["body"] == json.loads(body.to_json())
     failure = content["failure"]
     assert failure["stage"] == stage
     assert failure["limit"] in failure["message"].replace("-", "_")
