@@ -16,7 +16,7 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,13 +31,14 @@ from octoarm_agents.reservoir.closed_loop import (
     ClosedLoop,
     describe_domain_error,
     recovery_steps,
+    release,
     score_window,
 )
 from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 from octoarm_agents.reservoir.teaching import Teaching, teach
-from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError, LimitCycle
+from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
-__all__ = ["FORCED_STEPS", "DemoResult", "DemoSettings", "run_demo"]
+__all__ = ["FORCED_STEPS", "DemoResult", "DemoScores", "DemoSettings", "run_demo"]
 
 Float = NDArray[np.float64]
 Advance = Callable[[str, int], None]
@@ -47,9 +48,6 @@ BURST_STEPS = 1_000
 
 MINIMUM_STEPS = 2 * (WINDOW_STEPS + BURST_STEPS)
 """Closed-loop steps that leave a whole window on both sides of the burst."""
-
-_CHUNK = 1_000
-"""Physics steps of teacher forcing between two reports of progress."""
 
 _SHAPES = 8
 
@@ -86,6 +84,26 @@ class DemoSettings:
         return self.burst_begin + BURST_STEPS
 
 
+@dataclass(frozen=True)
+class DemoScores:
+    """How well the cycle was held.
+
+    Attributes:
+        before: scores of the last window before the burst, see `score_window`; None: the run did
+            not get so far. `burst` is the same of the burst, `after` of the run's last window.
+        held: whether the cycle was held before the burst.
+        recovered: whether it was held then, and again in the end.
+        recovery_time: from the burst's end until the cycle is reached again [s]; None: it is not.
+    """
+
+    before: dict[str, Any] | None
+    burst: dict[str, Any] | None
+    after: dict[str, Any] | None
+    held: bool
+    recovered: bool
+    recovery_time: float | None
+
+
 @dataclass
 class DemoResult:
     """What the demonstration found; arrays are as long as the run went.
@@ -94,13 +112,12 @@ class DemoResult:
         settings: what was asked for.
         parameters: the body.
         orbit: (K, 2), one turn of the target [degrees].
-        forced: (FORCED_STEPS, 2), the target's approach to its orbit [degrees].
         readout: the fitted readout, None if the arm left its domain while it was taught.
         outputs: (T, 2), the readout's outputs in closed loop, without the burst's noise [degrees].
         distances: (T,), of the outputs to the orbit, in units of the amplitude.
         shapes: (phases, N + 1, 3), plane centres at equal intervals of one turn [m].
         failure: what ended the run early, None if it went to its end.
-        physics_steps: physics steps made after the teaching.
+        physics_steps: physics steps made after the teaching; 0 if the loop was never closed.
         physics_seconds: wall-clock seconds these took.
         wall_seconds: wall-clock seconds of all, target and fit and scores included.
     """
@@ -108,7 +125,6 @@ class DemoResult:
     settings: DemoSettings
     parameters: ArmParameters
     orbit: Float
-    forced: Float
     readout: Readout | None = None
     outputs: Float = field(default_factory=lambda: np.empty((0, 2)))
     distances: Float = field(default_factory=lambda: np.empty(0))
@@ -123,48 +139,48 @@ class DemoResult:
         """Period of the target [s]."""
         return LIMIT_CYCLES[self.settings.teaching.target].period
 
-    def scores(self) -> dict[str, Any]:
-        """The figures: distances by window, held, recovered, recovery time, period, amplitude.
+    @property
+    def turn(self) -> float:
+        """Period of the target [steps]."""
+        return self.target_period / self.parameters.timestep
 
-        A window is None where the run did not reach its end.
-        """
+    def scores(self) -> DemoScores:
+        """Judge the run."""
         begin, end = self.settings.burst_begin, self.settings.burst_end
+        steps = self.settings.steps
         before = self._window(begin - WINDOW_STEPS, begin)
-        burst = self._window(begin, end)
-        after = self._window(self.settings.steps - WINDOW_STEPS, self.settings.steps)
+        after = self._window(steps - WINDOW_STEPS, steps)
         held = before is not None and before["held"]
         recovered = held and after is not None and after["held"]
-        return {
-            "before": before,
-            "burst": burst,
-            "after": after,
-            "held": held,
-            "recovered": recovered,
-            "recovery_time": self._recovery_time(before) if before and recovered else None,
-        }
+        time = None
+        if before is not None and recovered:
+            made = recovery_steps(self.distances[end:], before["max_distance"])
+            time = made * self.parameters.timestep
+        return DemoScores(before, self._window(begin, end), after, held, recovered, time)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the long arrays, as plain numbers for a JSON file; units in the keys."""
+        settings, teaching = self.settings, self.settings.teaching
         simulated = self.physics_steps * self.parameters.timestep
         seconds = self.physics_seconds
         return {
             "settings": {
-                "target": self.settings.teaching.target,
-                "actuator": self.settings.teaching.actuator,
-                "amplitude_degrees": self.settings.teaching.amplitude,
-                "noise_metres": self.settings.teaching.noise,
-                "noise_sampled": self.settings.teaching.sampled,
-                "disturbances_degrees": list(self.settings.teaching.disturbances),
-                "burst_degrees": self.settings.burst,
-                "burst_steps": [self.settings.burst_begin, self.settings.burst_end],
-                "training_steps": self.settings.teaching.steps,
-                "washout_steps": self.settings.teaching.washout,
+                "target": teaching.target,
+                "actuator": teaching.actuator,
+                "amplitude_degrees": teaching.amplitude,
+                "noise_metres": teaching.noise,
+                "noise_sampled": teaching.sampled,
+                "disturbances_degrees": list(teaching.disturbances),
+                "burst_degrees": settings.burst,
+                "burst_steps": [settings.burst_begin, settings.burst_end],
+                "training_steps": teaching.steps,
+                "washout_steps": teaching.washout,
                 "forced_steps": FORCED_STEPS,
-                "closed_loop_steps": self.settings.steps,
+                "closed_loop_steps": settings.steps,
                 "window_steps": WINDOW_STEPS,
-                "seed": self.settings.seed,
+                "seed": settings.seed,
             },
-            "scores": self.scores(),
+            "scores": asdict(self.scores()),
             "failure": self.failure,
             "closed_loop_steps_made": len(self.outputs),
             "target_period_seconds": self.target_period,
@@ -190,13 +206,8 @@ class DemoResult:
         """Scores of the closed-loop steps from `begin` to `end`; None if they were not all made."""
         if len(self.outputs) < end:
             return None
-        turn = self.target_period / self.parameters.timestep
-        return score_window(self.outputs[begin:end], self.orbit, turn, self.distances[begin:end])
-
-    def _recovery_time(self, before: dict[str, Any]) -> float:
-        """Seconds from the burst's end until the cycle is reached again."""
-        since = self.distances[self.settings.burst_end :]
-        return recovery_steps(since, before["max_distance"]) * self.parameters.timestep
+        own, distances = self.outputs[begin:end], self.distances[begin:end]
+        return score_window(own, self.orbit, self.turn, distances)
 
 
 def run_demo(
@@ -215,86 +226,54 @@ def run_demo(
         The result; if the arm left its domain, up to there, with `failure` set.
     """
     started = time.perf_counter()
-    teaching = settings.teaching
-    cycle = LIMIT_CYCLES[teaching.target]
-    signal = cycle.signal(FORCED_STEPS, teaching.amplitude)
-    arm = Arm(parameters, teaching.actuator)
-    result = DemoResult(settings, arm.parameters, cycle.orbit(teaching.amplitude), signal)
-    run = _Run(arm, result, advance or (lambda stage, steps: None))
+    report = advance or (lambda stage, steps: None)
+    teaching, body = settings.teaching, parameters or ArmParameters()
+    result = DemoResult(settings, body, LIMIT_CYCLES[teaching.target].orbit(teaching.amplitude))
+    stage = "teaching"
     try:
-        run.stage = "teaching"
-        result.readout = teach(arm.parameters, teaching).readout
-        run.advance(teaching.steps)
-        run.follow("swinging in", signal)
-        _close_loop(run, cycle, result.readout)
+        readout = result.readout = teach(body, teaching).readout
+        report(stage, teaching.steps)
+        stage = "swinging in"
+        begun = time.perf_counter()
+        arm = release(body, teaching.target, teaching.amplitude, teaching.actuator)
+        result.physics_seconds = time.perf_counter() - begun
+        report(stage, FORCED_STEPS)
+        _close_loop(arm, readout, result, report)
     except DomainError as error:
-        result.failure = {"stage": run.stage} | describe_domain_error(error)
+        result.failure = {"stage": stage} | describe_domain_error(error)
     result.distances = orbit_distance(result.outputs, result.orbit) / teaching.amplitude
     result.wall_seconds = time.perf_counter() - started
     return result
 
 
-def _close_loop(run: _Run, cycle: LimitCycle, readout: Readout) -> None:
-    settings = run.result.settings
+def _close_loop(arm: Arm, readout: Readout, result: DemoResult, report: Advance) -> None:
+    """Let the readout drive the arm. Only the domain ends it: jumps and rest are to be seen too."""
+    settings = result.settings
     random = np.random.default_rng(settings.seed)
     burst = random.uniform(-settings.burst, settings.burst, (BURST_STEPS, 2))
-    # The demonstration shows what happens, jumps and rest too; only the domain ends it.
+    stage = ""
     loop = ClosedLoop(
-        run.arm,
+        arm,
         readout.weights_,
         settings.teaching.amplitude,
         jump=None,
         rest=None,
-        advance=run.advance,
+        advance=lambda steps: report(stage, steps),
     )
-    turn = cycle.period / run.arm.parameters.timestep
-    try:
-        for stage, steps, noise in (
-            ("alone", settings.burst_begin, None),
-            ("disturbed", BURST_STEPS, burst),
-            ("alone again", settings.steps - settings.burst_end, None),
-        ):
-            if stage == "disturbed":
-                run.result.shapes = _shapes(run.arm, readout, turn)
-            run.stage = stage
-            run.timed(loop.run, steps, noise)
-            if loop.failure is not None:
-                run.result.failure = {"stage": stage} | loop.failure
-                break
-    finally:
-        run.result.outputs = loop.outputs
-
-
-class _Run:
-    """Moves the arm in chunks, keeps time, counts and reports the steps."""
-
-    def __init__(self, arm: Arm, result: DemoResult, advance: Advance) -> None:
-        self.arm = arm
-        self.result = result
-        self.stage = ""
-        self._advance = advance
-
-    def advance(self, steps: int) -> None:
-        """Report physics steps just made."""
-        self._advance(self.stage, steps)
-
-    def follow(self, stage: str, angles: Float) -> None:
-        """Command (T, 2) angles [degrees]."""
-        self.stage = stage
-        for begin in range(0, len(angles), _CHUNK):
-            chunk = angles[begin : begin + _CHUNK]
-            self.timed(self.arm.run, chunk)
-            self.advance(len(chunk))
-
-    def timed(self, move: Callable[..., Any], *arguments: Any) -> Any:
-        """Call what moves the arm; its steps and seconds are added to the result's."""
-        before = self.arm.state.steps
-        started = time.perf_counter()
-        try:
-            return move(*arguments)
-        finally:
-            self.result.physics_seconds += time.perf_counter() - started
-            self.result.physics_steps += self.arm.state.steps - before
+    for stage, steps, noise in (
+        ("alone", settings.burst_begin, None),
+        ("disturbed", BURST_STEPS, burst),
+        ("alone again", settings.steps - settings.burst_end, None),
+    ):
+        if noise is not None:
+            result.shapes = _shapes(arm, readout, result.turn)
+        begun = time.perf_counter()
+        loop.run(steps, noise)
+        result.physics_seconds += time.perf_counter() - begun
+        if loop.failure is not None:
+            result.failure = {"stage": stage} | loop.failure
+            break
+    result.outputs, result.physics_steps = loop.outputs, arm.state.steps
 
 
 def _shapes(arm: Arm, readout: Readout, period: float) -> Float:

@@ -51,10 +51,10 @@ def draw_demo(result: DemoResult) -> Figure:
 def _draw_orbit(axes: Axes, result: DemoResult) -> None:
     """Both outputs against each other, over the target."""
     begin = result.settings.burst_begin
-    outputs, step = result.outputs, result.parameters.timestep
+    outputs = result.outputs
     closed = np.vstack((result.orbit, result.orbit[:1]))
     axes.plot(*closed.T, color="black", linewidth=5.0, alpha=0.18, label="target orbit")
-    turn = round(result.target_period / step)
+    turn = round(result.turn)
     axes.plot(*outputs[begin:].T, color=VERMILLION, linewidth=0.7, label="burst and recovery")
     axes.plot(*outputs[:begin][-2 * turn :].T, color=BLUE, linewidth=1.2, label="before the burst")
     reach = 1.25 * max(
@@ -74,7 +74,8 @@ def _draw_shapes(axes: Axes, result: DemoResult) -> None:
     count = len(result.shapes)
     if not count:
         _say_missing(axes)
-    colours = _phase_colours(count)
+    # From dark to light, so that every eye can order them.
+    colours = [colormaps["viridis"](0.92 * k / count) for k in range(count)]
     for shape, colour in zip(result.shapes, colours, strict=True):
         x, height = 100 * shape[:, 0], -100 * shape[:, 2]
         axes.plot(x, height, color=colour, linewidth=1.6)
@@ -103,11 +104,6 @@ def _draw_shapes(axes: Axes, result: DemoResult) -> None:
             loc="lower center",
             bbox_to_anchor=(0.5, 0.0),
         )
-
-
-def _phase_colours(count: int) -> list[Any]:
-    """Colours from dark to light that every eye can order."""
-    return [colormaps["viridis"](0.92 * k / count) for k in range(count)]
 
 
 def _draw_weights(axes: Axes, result: DemoResult) -> None:
@@ -162,7 +158,7 @@ def _draw_distance(axes: Axes, result: DemoResult) -> None:
     """Distance to the orbit over the whole closed loop."""
     _shade_burst(axes, result)
     time = _time(result)
-    turn = round(result.target_period / result.parameters.timestep)
+    turn = round(result.turn)
     axes.semilogy(
         time,
         np.maximum(result.distances, 1e-9),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
+import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -28,16 +29,16 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-def run(*arguments: object) -> str:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", str(SCRIPT), *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Run the script with arguments; give what it prints."""
+
+    def run_script(*arguments: object) -> str:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run_script
 
 
 def returned(output: str) -> str:
@@ -50,7 +51,7 @@ def returned(output: str) -> str:
     [(2048, 1, 0.0), pytest.param(60_000, 30, 150.0, marks=pytest.mark.long)],
 )
 def test_ppo_learns_and_keeps_what_it_has_learnt(
-    steps: int, rollouts: int, least: float, tmp_path: Path
+    steps: int, rollouts: int, least: float, tmp_path: Path, run: Any
 ) -> None:
     path = tmp_path / "arm.pt"
     output = run("--steps", steps, "--out", path)
@@ -65,7 +66,7 @@ def test_ppo_learns_and_keeps_what_it_has_learnt(
     assert f"{again:.1f}" == returned(output)
 
 
-def test_same_seed_same_output() -> None:
+def test_same_seed_same_output(run: Any) -> None:
     def figures(seed: int) -> str:
         few = ("--num-envs", 2, "--target", "van_der_pol")
         output = run("--steps", 1024, "--seed", seed, *few)
@@ -78,7 +79,7 @@ def test_same_seed_same_output() -> None:
     assert figures(4) != first
 
 
-def test_tensorboard(tmp_path: Path) -> None:
+def test_tensorboard(tmp_path: Path, run: Any) -> None:
     pytest.importorskip("tensorboard")
     run("--steps", 16, "--num-envs", 2, "--num-steps", 8, "--tensorboard", tmp_path)
     assert len(list(tmp_path.glob("events.*"))) == 1

@@ -116,31 +116,26 @@ def random_actions(steps, seed):
     return np.random.default_rng(seed).uniform(-1, 1, (steps, COUNT, 2)).astype(np.float32)
 
 
-def bang_bang(steps, seed):
-    """Between the ends of the range, each environment at its own rate."""
-    phase = np.arange(steps)[:, np.newaxis] / (np.array([30.0, 35.0, 40.0, 1e9]) + seed)
-    sign = np.where(phase % 2 < 1, 1.0, -1.0)
-    return np.stack((sign, sign), axis=2).astype(np.float32)
+def jumps(steps):
+    """At rest, but for jumps that no such arm survives: each environment at steps of its own."""
+    actions = np.zeros((steps, COUNT, 2), np.float32)
+    for index in range(COUNT):
+        actions[3 * index + 2 :: 13, index] = 1.0
+    return actions
+
+
+RUNS = {
+    "truncated": ({}, random_actions(40, 1), 0),
+    "terminated": (
+        {"arm": "inertial", "amplitude": 20.0, "action_range": 300.0, "max_episode_steps": 9},
+        jumps(40),
+        4,
+    ),
+}
 
 
 @pytest.mark.parametrize("vector_env", VECTOR_ENVS)
-@pytest.mark.parametrize(
-    ("options", "actions", "failures"),
-    [
-        ({}, random_actions(40, 1), 0),
-        (
-            {
-                "arm": "inertial",
-                "amplitude": 20.0,
-                "control_period": 0.001,
-                "max_episode_steps": 900,
-            },
-            bang_bang(2000, 0),
-            4,
-        ),
-    ],
-    ids=["truncated", "terminated"],
-)
+@pytest.mark.parametrize(("options", "actions", "failures"), RUNS.values(), ids=RUNS)
 def test_the_same_as_the_dummy(vector_env, options, actions, failures):
     ours = Sb3VecEnv(VECTOR_ENVS[vector_env](**options))
     theirs = DummyVecEnv(single_envs(**options))

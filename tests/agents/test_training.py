@@ -2,207 +2,250 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
 import yaml
 from octoarm_agents.policies import NetworkPolicy, load_policy
-from octoarm_agents.rl import ALGORITHMS, Hyperparameters, Training, train
+from octoarm_agents.rl import ALGORITHMS, Hyperparameters, Training, train, tuning
+from octoarm_agents.rl import training as rl_training
 from octoarm_agents.rl.checkpoint import read_checkpoint
 from octoarm_agents.rl.hyperparameters import algorithm_class, hyperparameter_file
-from octoarm_agents.rl.tuning import tune_algorithm
+from octoarm_agents.rl.tuning import sample, tune_algorithm
+from optuna.trial import FixedTrial
 
 from octoarm_env import ArmParameters
 
 SMALL: dict[str, dict[str, Any]] = {
-    "ppo": {"n_steps": 32, "batch_size": 64, "n_epochs": 2},
-    "recurrent_ppo": {"n_steps": 16, "batch_size": 64, "n_epochs": 2},
-    "sac": {"learning_starts": 64, "batch_size": 32, "buffer_size": 1000, "gradient_steps": 1},
-    "tqc": {"learning_starts": 64, "batch_size": 32, "buffer_size": 1000, "gradient_steps": 1},
+    "ppo": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
+    "recurrent_ppo": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
+    "sac": {"learning_starts": 32, "batch_size": 16, "buffer_size": 200, "gradient_steps": 1},
+    "tqc": {"learning_starts": 32, "batch_size": 16, "buffer_size": 200, "gradient_steps": 1},
 }
-STEPS = {"ppo": 512, "recurrent_ppo": 512, "sac": 200, "tqc": 200}
+STEPS = 256
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_evaluations() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rl_training, "JUDGED_STEPS", 20)
+        yield
+
+
+SEEN = 0.02 + 1e-3 * np.random.default_rng(0).normal(size=(20, 80))
+
+
+def entries(algorithm: str) -> dict[str, Any]:
+    """The algorithm's own hyper-parameters, but with small networks and batches."""
+    found = Hyperparameters.load(algorithm).entries() | SMALL[algorithm] | {"n_envs": 4}
+    found["policy_kwargs"] = found["policy_kwargs"] | {"net_arch": [8]}
+    if algorithm == "recurrent_ppo":
+        found["policy_kwargs"]["lstm_hidden_size"] = 8
+    return found
 
 
 def small(algorithm: str, **changes: Any) -> Training:
-    """The algorithm's own hyper-parameters, but batches and budget of a few seconds."""
-    entries = Hyperparameters.load(algorithm).entries() | SMALL[algorithm] | {"n_envs": 4}
-    if algorithm == "recurrent_ppo":
-        entries["policy_kwargs"] = entries["policy_kwargs"] | {"lstm_hidden_size": 8}
-    arguments = {"steps": STEPS[algorithm], "seed": 1, "evaluations": 4, "episodes": 2} | changes
-    return Training.make(
-        algorithm, "quadratic", hyperparameters=Hyperparameters.from_entries(entries), **arguments
-    )
+    """A training of a second."""
+    arguments = {"steps": STEPS, "seed": 1, "evaluations": 4, "episodes": 2} | changes
+    given = Hyperparameters.from_entries(entries(algorithm))
+    return Training.make(algorithm, "quadratic", hyperparameters=given, **arguments)
+
+
+def steady(algorithm: str, **changes: Any) -> Training:
+    """The same without anything that falls over the training."""
+    training = small(algorithm, **changes)
+    given = training.hyperparameters | {"learning_rate": 1e-3, "n_timesteps": 9}
+    return replace(training, hyperparameters=given)
+
+
+class Trained(NamedTuple):
+    summary: dict[str, Any]
+    folder: Path
+
+    @property
+    def returns(self) -> list[tuple[int, float]]:
+        return returns(self.summary)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Training], Trained]:
+    """Give a training that nothing interrupted; each is made once."""
+
+    @functools.cache
+    def trained(text: str) -> Trained:
+        folder = tmp_path_factory.mktemp("whole")
+        return Trained(train(pickle.loads(bytes.fromhex(text)), folder), folder)
+
+    return lambda training: trained(pickle.dumps(training).hex())
 
 
 def returns(summary: dict[str, Any]) -> list[tuple[int, float]]:
     return [(point["steps"], point["return"]) for point in summary["curve"]]
 
 
+def actions(folder: Path, kept: str = "final.npz") -> Any:
+    return load_policy(folder / kept).predict(SEEN)[0]
+
+
+class Killed(BaseException):
+    """Ends a training as a kill does: nothing else is written."""
+
+
+def train_and_break(training: Training, out: Path, stop: int) -> None:
+    def progress(done: int, value: float) -> None:
+        if done >= stop:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(training, out, progress=progress)
+
+
 KILLED = """
 import os, pickle, signal, sys
-from dataclasses import replace
 from pathlib import Path
-from octoarm_agents.rl import train
-
-training, stop = pickle.loads(bytes.fromhex(sys.argv[2])), int(sys.argv[3])
+from octoarm_agents.rl import training
 
 def progress(done, value):
-    if done >= stop:
+    if done >= 150:
         os.kill(os.getpid(), signal.SIGKILL)
 
-train(training, Path(sys.argv[1]), progress=progress)
+training.JUDGED_STEPS = 20
+training.train(pickle.loads(bytes.fromhex(sys.argv[2])), Path(sys.argv[1]), progress=progress)
 """
 
 
-def train_and_kill(training: Training, out: Path, stop: int) -> None:
-    """Train in a process of its own that dies without warning after some steps."""
-    packed = pickle.dumps(training).hex()
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED, str(out), packed, str(stop)], check=False, timeout=300
-    )
-    assert done.returncode == -signal.SIGKILL
-
-
-ON_AND_OFF_POLICY = [
-    pytest.param(algorithm, marks=() if algorithm in ("ppo", "sac") else pytest.mark.long)
-    for algorithm in ALGORITHMS
-]
-"""One algorithm of each kind; those that are trained like it take long."""
-
-
-@pytest.mark.parametrize("algorithm", ON_AND_OFF_POLICY)
-def test_killed_and_resumed_as_if_never_killed(algorithm: str, tmp_path: Path) -> None:
-    training = small(algorithm)
-    whole = train(training, tmp_path / "whole")
-    assert len(whole["curve"]) == 4
-    assert whole["final"]["steps"] >= training.steps
-    train_and_kill(training, tmp_path / "killed", round(0.6 * training.steps))
-    assert not (tmp_path / "killed" / "training.json").exists()
-    resumed = train(training, tmp_path / "killed", resume=True)
+def check_resumed(training: Training, out: Path, expected: Trained) -> None:
+    assert (out / "checkpoint.zip").exists()
+    assert not (out / "training.json").exists()
+    resumed = train(training, out, resume=True)
     assert resumed["resumed"] == 1
-    assert returns(resumed) == returns(whole)
-    first, second = (load_policy(tmp_path / name / "final.npz") for name in ("whole", "killed"))
-    seen = 0.02 + 1e-3 * np.random.default_rng(0).normal(size=(20, 80))
-    np.testing.assert_array_equal(first.predict(seen)[0], second.predict(seen)[0])
+    assert returns(resumed) == expected.returns
+    assert resumed["best"]["return"] == expected.summary["best"]["return"]
+    np.testing.assert_array_equal(actions(out), actions(expected.folder))
     # What has ended is not trained again.
-    assert returns(train(training, tmp_path / "killed", resume=True)) == returns(whole)
-
-
-@pytest.mark.parametrize("stop", [0, pytest.param(200, marks=pytest.mark.long)])
-def test_killed_before_the_first_evaluation(stop: int, tmp_path: Path) -> None:
-    training = small("ppo")
-    train_and_kill(training, tmp_path, stop)
-    assert (tmp_path / "checkpoint.zip").exists()
-    resumed = train(training, tmp_path, resume=True)
-    assert returns(resumed) == returns(train(training, tmp_path / "whole"))
-
-
-def steady(algorithm: str, **changes: Any) -> Training:
-    """The same without anything that falls over the training."""
-    training = small(algorithm, **changes)
-    return replace(
-        training,
-        hyperparameters=training.hyperparameters | {"learning_rate": 1e-3, "n_timesteps": 9},
-    )
-
-
-@pytest.mark.parametrize("algorithm", ON_AND_OFF_POLICY)
-def test_extended_as_if_it_had_been_longer_from_the_beginning(
-    algorithm: str, tmp_path: Path
-) -> None:
-    steps = STEPS[algorithm]
-    whole = train(steady(algorithm), tmp_path / "whole")
-    half = steady(algorithm, steps=steps // 2, evaluations=2)
-    finished = train(half, tmp_path / "part")
-    assert returns(finished) == returns(whole)[:2]
-    extended = train(steady(algorithm), tmp_path / "part", resume=True, extend=True)
-    assert returns(extended) == returns(whole)
-    assert extended["best"]["return"] == whole["best"]["return"]
-    assert extended["training"] == whole["training"]
-    assert extended["extended"] == [
-        {"from_steps": steps // 2, "to_steps": steps, "schedules": []},
-    ]
-    seen = 0.02 + 1e-3 * np.random.default_rng(0).normal(size=(20, 80))
-    for kept in ("final.npz", "best.npz"):
-        first, second = (load_policy(tmp_path / name / kept) for name in ("whole", "part"))
-        np.testing.assert_array_equal(first.predict(seen)[0], second.predict(seen)[0])
-    # It is now a training of so many steps as any other.
-    again = train(steady(algorithm), tmp_path / "part", resume=True)
-    assert again == extended
-    with pytest.raises(ValueError, match=f"steps is {steps} there and {steps // 2} here"):
-        train(half, tmp_path / "part", resume=True, extend=True)
-
-
-def test_an_extension_that_is_killed_goes_on(tmp_path: Path) -> None:
-    whole = train(steady("ppo", steps=1024, evaluations=8), tmp_path / "whole")
-    train_and_kill(steady("ppo"), tmp_path / "part", 300)
-    extended = train(
-        steady("ppo", steps=1024, evaluations=8), tmp_path / "part", resume=True, extend=True
-    )
-    assert returns(extended) == returns(whole)
-    assert load_policy(tmp_path / "part" / "final.npz").training["extended"] == [
-        {"from_steps": 512, "to_steps": 1024, "schedules": []}
-    ]
-
-
-def test_what_depends_on_the_length_of_a_training_is_named(tmp_path: Path) -> None:
-    train(small("ppo"), tmp_path)
-    with pytest.warns(UserWarning, match=r"learning_rate of ppo falls to zero .* 512 .* 1,024"):
-        extended = train(small("ppo", steps=1024), tmp_path, resume=True, extend=True)
-    assert extended["extended"][0]["schedules"] == ["learning_rate"]
-    assert extended["final"]["steps"] == 1024
-
-
-def test_only_the_length_may_differ(tmp_path: Path) -> None:
-    train(steady("ppo", steps=128, evaluations=1), tmp_path)
-    longer = steady("ppo", steps=256, evaluations=1)
-    with pytest.raises(ValueError, match="steps is 128 there and 256 here"):
-        train(longer, tmp_path, resume=True)
-    with pytest.raises(ValueError, match="another training: seed is 1 there and 2 here"):
-        train(replace(longer, seed=2), tmp_path, resume=True, extend=True)
-    other = steady("ppo", steps=128, evaluations=2)
-    with pytest.raises(ValueError, match="evaluations is 1 there and 2 here"):
-        train(other, tmp_path, resume=True, extend=True)
-    with pytest.raises(ValueError, match="extend = True: expected resume"):
-        train(longer, tmp_path, extend=True)
-
-
-def test_the_same_seed_gives_the_same_curve(tmp_path: Path) -> None:
-    curves = [
-        returns(train(small("ppo", seed=seed), tmp_path / str(run)))
-        for run, seed in enumerate((3, 3, 4))
-    ]
-    assert curves[0] == curves[1] != curves[2]
-
-
-def test_evaluations_do_not_disturb_the_training(tmp_path: Path) -> None:
-    for count in (1, 4):
-        train(small("sac", evaluations=count), tmp_path / str(count))
-    first, second = (load_policy(tmp_path / name / "final.npz") for name in ("1", "4"))
-    seen = np.full((1, 80), 0.021)
-    np.testing.assert_array_equal(first.predict(seen)[0], second.predict(seen)[0])
+    assert train(training, out, resume=True) == resumed
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_what_is_kept_acts_as_the_model_does(algorithm: str, tmp_path: Path) -> None:
-    training = small(algorithm, evaluations=1)
-    summary = train(training, tmp_path)
-    policy = load_policy(tmp_path / "final.npz")
+def test_broken_off_and_resumed_as_if_never_interrupted(
+    algorithm: str, tmp_path: Path, whole: Any
+) -> None:
+    training = small(algorithm)
+    assert len(whole(training).returns) == 4
+    train_and_break(training, tmp_path, 150)
+    check_resumed(training, tmp_path, whole(training))
+
+
+def test_killed_and_resumed_in_another_process(tmp_path: Path, whole: Any) -> None:
+    training = small("ppo")
+    packed = pickle.dumps(training).hex()
+    command = [sys.executable, "-c", KILLED, str(tmp_path), packed]
+    assert subprocess.run(command, check=False, timeout=600).returncode == -signal.SIGKILL
+    check_resumed(training, tmp_path, whole(training))
+
+
+def test_broken_off_before_the_first_evaluation(tmp_path: Path, whole: Any) -> None:
+    training = small("ppo")
+    train_and_break(training, tmp_path, 0)
+    assert returns(train(training, tmp_path, resume=True)) == whole(training).returns
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_extended_as_if_it_had_been_longer_from_the_beginning(
+    algorithm: str, tmp_path: Path, whole: Any
+) -> None:
+    longer = whole(steady(algorithm))
+    half = steady(algorithm, steps=STEPS // 2, evaluations=2)
+    assert returns(train(half, tmp_path)) == longer.returns[:2]
+    extended = train(steady(algorithm), tmp_path, resume=True, extend=True)
+    assert returns(extended) == longer.returns
+    assert extended["best"]["return"] == longer.summary["best"]["return"]
+    assert extended["training"] == longer.summary["training"]
+    assert extended["extended"] == [
+        {"from_steps": STEPS // 2, "to_steps": STEPS, "schedules": []},
+    ]
+    for kept in ("final.npz", "best.npz"):
+        np.testing.assert_array_equal(actions(tmp_path, kept), actions(longer.folder, kept))
+    # It is now a training of so many steps as any other.
+    assert train(steady(algorithm), tmp_path, resume=True) == extended
+    with pytest.raises(ValueError, match=f"steps is {STEPS} there and {STEPS // 2} here"):
+        train(half, tmp_path, resume=True, extend=True)
+
+
+def test_an_extension_of_what_was_broken_off_goes_on(tmp_path: Path, whole: Any) -> None:
+    half = steady("ppo", steps=STEPS // 2, evaluations=2)
+    train_and_break(half, tmp_path, 64)
+    extended = train(steady("ppo"), tmp_path, resume=True, extend=True)
+    assert returns(extended) == whole(steady("ppo")).returns
+    assert load_policy(tmp_path / "final.npz").training["extended"] == [
+        {"from_steps": STEPS // 2, "to_steps": STEPS, "schedules": []}
+    ]
+
+
+def test_what_depends_on_the_length_of_a_training_is_named(tmp_path: Path, whole: Any) -> None:
+    shutil.copytree(whole(small("ppo")).folder, tmp_path / "longer")
+    with pytest.warns(UserWarning, match=r"learning_rate of ppo falls to zero .* 256 .* 320"):
+        extended = train(small("ppo", steps=320), tmp_path / "longer", resume=True, extend=True)
+    assert extended["extended"][0]["schedules"] == ["learning_rate"]
+    assert extended["final"]["steps"] == 320
+
+
+def test_folders_with_other_trainings_are_refused(tmp_path: Path, whole: Any) -> None:
+    given, folder = steady("ppo"), whole(steady("ppo")).folder
+    with pytest.raises(ValueError, match="holds a training: resume it"):
+        train(given, folder)
+    with pytest.raises(ValueError, match="extend = True: expected resume"):
+        train(given, folder, extend=True)
+    longer = steady("ppo", steps=512)
+    for wanted, extend, message in (
+        (replace(given, seed=2), False, "another training: seed is 1 there and 2 here"),
+        (longer, False, "steps is 256 there and 512 here"),
+        (replace(longer, seed=2), True, "another training: seed is 1 there and 2 here"),
+        (replace(given, evaluations=2), True, "evaluations is 4 there and 2 here"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(wanted, folder, resume=True, extend=extend)
+    found = (folder / "checkpoint.zip").read_bytes()
+    for content in (b"", found[:1000]):
+        (tmp_path / "checkpoint.zip").write_bytes(content)
+        with pytest.raises(ValueError, match="no complete checkpoint"):
+            train(given, tmp_path, resume=True)
+
+
+def test_the_same_seed_gives_the_same_curve(tmp_path: Path, whole: Any) -> None:
+    again = train(small("ppo"), tmp_path / "again")
+    assert returns(again) == whole(small("ppo")).returns
+    other = train(small("ppo", seed=2), tmp_path / "other")
+    assert returns(other) != returns(again)
+
+
+def test_evaluations_do_not_disturb_the_training(tmp_path: Path, whole: Any) -> None:
+    train(small("sac", evaluations=1), tmp_path)
+    np.testing.assert_array_equal(actions(tmp_path), actions(whole(small("sac")).folder))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_what_is_kept_acts_as_the_model_does(algorithm: str, whole: Any) -> None:
+    summary, folder = whole(small(algorithm))
+    policy = load_policy(folder / "final.npz")
     assert isinstance(policy, NetworkPolicy)
     assert (policy.algorithm, policy.seed) == (algorithm, 1)
     assert policy.parameter_count == summary["parameters"]
-    model = algorithm_class(algorithm).load(tmp_path / "final_model.zip", device="cpu")
-    with (tmp_path / "vecnormalize.pkl").open("rb") as file:
+    model = algorithm_class(algorithm).load(folder / "final_model.zip", device="cpu")
+    with (folder / "vecnormalize.pkl").open("rb") as file:
         normalization = pickle.load(file)
     random = np.random.default_rng(2)
     state = other = None
@@ -220,14 +263,14 @@ def test_what_is_kept_acts_as_the_model_does(algorithm: str, tmp_path: Path) -> 
     assert np.ptp(actions, axis=0).min() > 1e-4
 
 
-def test_the_best_policy_is_kept(tmp_path: Path) -> None:
-    summary = train(small("ppo"), tmp_path)
+def test_the_best_policy_is_kept(whole: Any) -> None:
+    summary, folder = whole(small("ppo"))
     best = max(summary["curve"], key=lambda point: point["return"])
     assert summary["best"] == best
-    kept = load_policy(tmp_path / "best.npz")
+    kept = load_policy(folder / "best.npz")
     assert kept.training["return"] == best["return"]
     assert kept.training["trained_steps"] == best["steps"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
+    assert sorted(path.name for path in folder.iterdir()) == [
         "best.npz",
         "checkpoint.zip",
         "final.npz",
@@ -235,34 +278,17 @@ def test_the_best_policy_is_kept(tmp_path: Path) -> None:
         "training.json",
         "vecnormalize.pkl",
     ]
-    assert json.loads((tmp_path / "training.json").read_text(encoding="utf-8")) == summary
+    assert json.loads((folder / "training.json").read_text(encoding="utf-8")) == summary
 
 
-def test_trains_on_another_body(tmp_path: Path) -> None:
+def test_trains_on_another_body_and_gives_the_threads_back(tmp_path: Path) -> None:
     body = ArmParameters(arm_density=1100.0)
-    train(small("ppo", steps=128, evaluations=1, env={"arm": body, "amplitude": 15.0}), tmp_path)
+    before = torch.get_num_threads()
+    train(small("ppo", steps=64, evaluations=1, env={"arm": body, "amplitude": 15.0}), tmp_path)
+    assert torch.get_num_threads() == before
     policy = load_policy(tmp_path / "final.npz")
     assert policy.parameters == body
     assert policy.settings["amplitude"] == 15.0
-
-
-def test_threads_are_given_back(tmp_path: Path) -> None:
-    before = torch.get_num_threads()
-    train(small("ppo", steps=128, evaluations=1), tmp_path)
-    assert torch.get_num_threads() == before
-
-
-def test_folders_with_other_trainings_are_refused(tmp_path: Path) -> None:
-    train(small("ppo", steps=128, evaluations=1), tmp_path)
-    with pytest.raises(ValueError, match="holds a training: resume it"):
-        train(small("ppo", steps=128, evaluations=1), tmp_path)
-    with pytest.raises(ValueError, match="another training: seed is 1 there and 2 here"):
-        train(small("ppo", steps=128, evaluations=1, seed=2), tmp_path, resume=True)
-    whole = (tmp_path / "checkpoint.zip").read_bytes()
-    for content in (b"", whole[:1000]):
-        (tmp_path / "checkpoint.zip").write_bytes(content)
-        with pytest.raises(ValueError, match="no complete checkpoint"):
-            train(small("ppo", steps=128, evaluations=1), tmp_path, resume=True)
 
 
 @pytest.mark.parametrize(
@@ -318,10 +344,8 @@ class TestHyperparameters:
             Hyperparameters.load("ppo", tmp_path / "ppo.yml")
 
     def test_wrong_arguments_are_named(self, tmp_path: Path) -> None:
-        entries = Hyperparameters.load("ppo").entries() | {"depth": 3}
-        training = Training.make(
-            "ppo", "quadratic", hyperparameters=Hyperparameters.from_entries(entries)
-        )
+        given = Hyperparameters.from_entries(entries("ppo") | {"depth": 3})
+        training = Training.make("ppo", "quadratic", hyperparameters=given)
         with pytest.raises(ValueError, match=r"hyper-parameters of ppo: .*depth"):
             train(training, tmp_path)
 
@@ -332,45 +356,61 @@ class TestHyperparameters:
 
 
 def test_tuning_tries_and_goes_on(tmp_path: Path) -> None:
-    first = tune_algorithm("ppo", tmp_path, trials=1, steps=600)
+    # So few steps that nothing is learnt from them yet.
+    first = tune_algorithm("sac", tmp_path, trials=1, steps=32)
     assert [each["number"] for each in first["trials"]] == [0]
     # The first trial is the present file.
-    present = Hyperparameters.load("ppo").arguments
-    assert first["trials"][0]["parameters"]["gamma"] == present["gamma"]
-    second = tune_algorithm("ppo", tmp_path, trials=2, steps=600)
+    present = Hyperparameters.load("sac")
+    assert first["best"]["hyperparameters"] == present.entries()
+    reported = []
+    second = tune_algorithm(
+        "sac", tmp_path, trials=2, steps=32, report=lambda study, trial: reported.append(trial)
+    )
+    assert [trial.number for trial in reported] == [1]
     assert second["trials"][:1] == first["trials"]
     assert len(second["trials"]) == 2
     complete = [each for each in second["trials"] if not each["pruned"]]
     assert second["best"]["value"] == max(each["value"] for each in complete)
-    tuned = Hyperparameters.load("ppo", tmp_path / "ppo.yml")
+    tuned = Hyperparameters.load("sac", tmp_path / "sac.yml")
     assert tuned.entries() == second["best"]["hyperparameters"]
     with pytest.raises(ValueError, match="expected at least one"):
-        tune_algorithm("ppo", tmp_path)
+        tune_algorithm("sac", tmp_path)
     with pytest.raises(ValueError, match="trials = 0"):
-        tune_algorithm("ppo", tmp_path, trials=0)
+        tune_algorithm("sac", tmp_path, trials=0)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_what_is_tried_first_is_what_the_file_holds(algorithm: str) -> None:
+    start = Hyperparameters.load(algorithm)
+    drawn = sample(FixedTrial(tuning._present(algorithm, start)), algorithm, start).entries()
+    # What the file leaves to stable-baselines3.
+    assert drawn.pop("top_quantiles_to_drop_per_net", 2) == 2
+    assert drawn == start.entries()
 
 
 class TestCommand:
     def test_train_evaluate_resume(self, octoarm: Any, tmp_path: Path) -> None:
-        arguments = ["train", "ppo", "--target", "van_der_pol", "--steps", 2048, "--out", tmp_path]
-        arguments += ["--evaluations", 1]
+        file, out = tmp_path / "small.yml", tmp_path / "out"
+        file.write_text(yaml.safe_dump({"OctoArm-v0": entries("ppo")}), encoding="utf-8")
+        arguments = ["train", "ppo", "--target", "van_der_pol", "--steps", 64, "--out", out]
+        arguments += ["--evaluations", 1, "--hyperparameters", file]
         done = octoarm(*arguments)
         assert done.exit_code == 0, done.output
         assert "of 500" in done.output
-        assert list((tmp_path / "tensorboard").iterdir())
-        policy = load_policy(tmp_path / "best.npz")
+        assert list((out / "tensorboard").iterdir())
+        policy = load_policy(out / "best.npz")
         assert policy.settings["target"] == "van_der_pol"
         again = octoarm(*arguments)
         assert again.exit_code == 2
-        assert "holds a training: go on with --resume" in again.output
+        assert "holds a training: resume it (--resume)" in again.output
         assert octoarm(*arguments, "--resume").exit_code == 0
-        arguments[arguments.index(2048)] = 3072
+        arguments[arguments.index(64)] = 128
         with pytest.warns(UserWarning, match="learning_rate of ppo"):
             longer = octoarm(*arguments, "--resume")
         assert longer.exit_code == 0, longer.output
-        assert "Trained 3,072 steps" in longer.output
+        assert "Trained 128 steps" in longer.output
         shown = octoarm(
-            "evaluate", tmp_path / "best.npz", "--episodes", 2, "--out", tmp_path / "figures.json"
+            "evaluate", out / "best.npz", "--episodes", 2, "--out", tmp_path / "figures.json"
         )
         assert shown.exit_code == 0, shown.output
         figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
@@ -393,10 +433,10 @@ class TestCommand:
         assert done.exit_code == 2
         assert message in done.output
 
-    def test_bodies_that_do_not_fit(self, octoarm: Any, tmp_path: Path) -> None:
-        train(small("ppo", steps=128, evaluations=1), tmp_path / "out")
+    def test_bodies_that_do_not_fit(self, octoarm: Any, tmp_path: Path, whole: Any) -> None:
         ArmParameters(compartments=10).to_json(tmp_path / "short.json")
-        done = octoarm("evaluate", tmp_path / "out" / "best.npz", "--arm", tmp_path / "short.json")
+        policy = whole(small("ppo")).folder / "best.npz"
+        done = octoarm("evaluate", policy, "--arm", tmp_path / "short.json")
         assert done.exit_code == 2
         assert "short.json has 10 compartments" in done.output
 

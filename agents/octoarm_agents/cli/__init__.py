@@ -33,24 +33,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-LEARN, SEE, BODY, SERVE = "Learn", "See", "The body", "Serve and time"
-
-app.command(rich_help_panel=LEARN)(train.train)
-app.command(rich_help_panel=LEARN)(tune.tune)
-app.command(rich_help_panel=LEARN)(evaluate.evaluate)
-app.command(rich_help_panel=LEARN)(compare.compare)
-app.command(rich_help_panel=SEE)(watch.watch)
-app.command(rich_help_panel=SEE)(record.record)
-app.command(rich_help_panel=BODY)(demo.demo)
-app.command(rich_help_panel=BODY)(reproduce.reproduce)
-app.add_typer(analyse.app, name="analyse", rich_help_panel=BODY)
-app.add_typer(calibrate.app, name="calibrate", rich_help_panel=BODY)
+for panel, commands in (
+    ("Learn", (train.train, tune.tune, evaluate.evaluate, compare.compare)),
+    ("See", (watch.watch, record.record)),
+    ("The body", (demo.demo, reproduce.reproduce)),
+    ("Serve and time", (benchmark.benchmark,)),
+):
+    for command in commands:
+        app.command(rich_help_panel=panel)(command)
+app.add_typer(analyse.app, name="analyse", rich_help_panel="The body")
+app.add_typer(calibrate.app, name="calibrate", rich_help_panel="The body")
 app.command(
-    rich_help_panel=SERVE,
+    rich_help_panel="Serve and time",
     add_help_option=False,
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )(serve.serve)
-app.command(rich_help_panel=SERVE)(benchmark.benchmark)
 
 
 def _print_version(wanted: bool) -> None:

@@ -3,53 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import typer
 
-from octoarm_agents.cli.options import need_extra, number_between, output_folder
+from octoarm_agents.cli.options import Algorithm, Seed, need_extra, number, output_folder
 
 __all__ = ["tune"]
 
+_TRIALS = "Trials, those of an earlier call included."
+_STEPS = "Environment steps of each training of a trial."
+_OUT = "Folder for study.json, with every trial, and ALGORITHM.yml, the best."
+
 
 def tune(
-    algorithm: Annotated[
-        Literal["ppo", "sac", "tqc", "recurrent_ppo"],
-        typer.Argument(help="What trains.", show_default=False),
-    ],
+    algorithm: Algorithm,
     trials: Annotated[
-        int | None,
-        typer.Option(
-            help="Trials, those of an earlier call included.",
-            show_default="as many as --minutes allow",
-            callback=number_between(1, 100_000),
-        ),
+        int | None, number(_TRIALS, 1, 100_000, show_default="as many as --minutes allow")
     ] = None,
-    minutes: Annotated[
-        float,
-        typer.Option(
-            help="Begin no trial after this time.", callback=number_between(0.01, 100_000)
-        ),
-    ] = 12.0,
+    minutes: Annotated[float, number("Begin no trial after this time.", 0.01, 100_000)] = 12.0,
     steps: Annotated[
         int | None,
-        typer.Option(
-            help="Environment steps of each training of a trial.",
-            show_default="20,000 to 200,000, by algorithm",
-            callback=number_between(1, 1_000_000_000),
-        ),
+        number(_STEPS, 1, 1_000_000_000, show_default="10,000 to 100,000, by algorithm"),
     ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(help="Of search and trainings.", callback=number_between(0, 2**31 - 1)),
-    ] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for study.json, with every trial, and ALGORITHM.yml, the best.",
-            show_default="out/tune/ALGORITHM",
-        ),
-    ] = None,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help=_OUT, show_default="out/tune/ALGORITHM")] = None,
 ) -> None:
     """Search hyper-parameters (Optuna's TPE) by short trainings.
 
@@ -58,18 +36,19 @@ def tune(
     the median are given up. The first trial is what octoarm train uses now.
     The same call goes on where it was interrupted.
 
-    Use the result with octoarm train ALGO --hyperparameters ALGORITHM.yml.
+    Use the result with octoarm train ALGORITHM --hyperparameters ALGORITHM.yml.
     """
     with need_extra("rl"):
-        import optuna  # noqa: F401
+        import optuna
 
         from octoarm_agents.rl.tuning import tune_algorithm
 
     folder = output_folder(out or Path("out/tune") / algorithm)
 
-    def report(number: int, value: float | None, best: float | None) -> None:
-        shown = "given up" if value is None else f"{value:.1f} of 500"
-        typer.echo(f"trial {number}: {shown}; best {'-' if best is None else f'{best:.1f}'}")
+    def report(study: Any, trial: Any) -> None:
+        given_up = trial.state == optuna.trial.TrialState.PRUNED
+        shown = "given up" if given_up else f"{trial.value:.1f} of 500"
+        typer.echo(f"trial {trial.number}: {shown}; best {study.best_value:.1f}")
 
     result = tune_algorithm(
         algorithm, folder, trials=trials, minutes=minutes, steps=steps, seed=seed, report=report

@@ -44,7 +44,7 @@ def find_program(name: str = "octoarm-server") -> Path:
         on_path = shutil.which(name)
         if on_path is not None:
             candidates.append(Path(on_path))
-        target = Path(__file__).resolve().parents[2] / "target"
+        target = Path(__file__).resolve().parents[3] / "target"
         built = [path for path in target.glob(f"*/{file}") if path.is_file()]
         candidates += sorted(built, key=lambda path: -path.stat().st_mtime)
     for candidate in candidates:

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import cloudpickle
-from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 
-from octoarm_agents.common.files import write_atomically
+from octoarm_agents.common.files import atomic_file
 
 __all__ = ["read_checkpoint", "write_checkpoint"]
 
 _MODEL, _STATE, _BUFFER = "model.zip", "state.pkl", "replay_buffer.pkl"
+
+_ROWS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def write_checkpoint(path: Path, model: Any, state: dict[str, Any]) -> None:
@@ -26,7 +27,18 @@ def write_checkpoint(path: Path, model: Any, state: dict[str, Any]) -> None:
         model: of stable-baselines3.
         state: what it does not save itself; must pickle.
     """
-    write_atomically(path, lambda file: _write(file, model, state))
+    saved = io.BytesIO()
+    model.save(saved)
+    with atomic_file(path) as file, zipfile.ZipFile(file, "w") as archive:
+        archive.writestr(_MODEL, saved.getvalue())
+        archive.writestr(_STATE, cloudpickle.dumps(state))
+        replay = getattr(model, "replay_buffer", None)
+        if replay is not None:
+            # stable-baselines3 would save the rows that are not in use yet too.
+            used = replay.buffer_size if replay.full else replay.pos
+            rows = {name: getattr(replay, name)[:used] for name in _ROWS}
+            packed = {"pos": replay.pos, "full": replay.full, **rows}
+            archive.writestr(_BUFFER, pickle.dumps(packed, pickle.HIGHEST_PROTOCOL))
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -52,39 +64,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     def load(kind: Any, envs: Any) -> Any:
         loaded = kind.load(io.BytesIO(model), env=envs, device="cpu", force_reset=False)
         if _BUFFER in parts:
-            buffer = load_from_pkl(io.BytesIO(parts[_BUFFER]))
-            _unpack(buffer, loaded.replay_buffer)
+            packed, replay = pickle.loads(parts[_BUFFER]), loaded.replay_buffer
+            replay.pos, replay.full = packed["pos"], packed["full"]
+            for name in _ROWS:
+                getattr(replay, name)[: len(packed[name])] = packed[name]
         return loaded
 
     return {**state, "load": load}
-
-
-def _write(file: Path, model: Any, state: dict[str, Any]) -> None:
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-        with archive.open(_MODEL, "w", force_zip64=True) as member:
-            buffer = io.BytesIO()
-            model.save(buffer)
-            member.write(buffer.getvalue())
-        archive.writestr(_STATE, cloudpickle.dumps(state))
-        if getattr(model, "replay_buffer", None) is not None:
-            with archive.open(_BUFFER, "w", force_zip64=True) as member:
-                buffer = io.BytesIO()
-                save_to_pkl(buffer, _pack(model.replay_buffer))
-                member.write(buffer.getbuffer())
-
-
-_ROWS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def _pack(replay: Any) -> dict[str, Any]:
-    """The rows of a replay buffer that are in use."""
-    used = replay.buffer_size if replay.full else replay.pos
-    rows = {name: getattr(replay, name)[:used] for name in _ROWS}
-    return {"pos": replay.pos, "full": replay.full, **rows}
-
-
-def _unpack(packed: dict[str, Any], replay: Any) -> None:
-    replay.pos, replay.full = packed["pos"], packed["full"]
-    for name in _ROWS:
-        rows = packed[name]
-        getattr(replay, name)[: len(rows)] = rows

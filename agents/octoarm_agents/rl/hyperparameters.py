@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import yaml
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.utils import LinearSchedule
 
 from octoarm_agents.common.environment import ENV_ID
@@ -34,19 +36,9 @@ def algorithm_class(algorithm: str) -> Any:
     Raises:
         ValueError: an algorithm that is not one of `ALGORITHMS`.
     """
-    import stable_baselines3
-
     if algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm = {algorithm!r}: expected one of {ALGORITHMS}")
-    if algorithm in ("ppo", "sac"):
-        return getattr(stable_baselines3, algorithm.upper())
-    try:
-        import sb3_contrib
-    except ImportError as error:
-        raise ImportError(
-            f'{algorithm} needs sb3-contrib: pip install "octoarm-agents[rl]"'
-        ) from error
-    return {"tqc": sb3_contrib.TQC, "recurrent_ppo": sb3_contrib.RecurrentPPO}[algorithm]
+    return {"ppo": PPO, "sac": SAC, "tqc": TQC, "recurrent_ppo": RecurrentPPO}[algorithm]
 
 
 def hyperparameter_file(algorithm: str) -> Path:

@@ -251,20 +251,14 @@ class Sb3VecEnv(VecEnv):
     ) -> None:
         """Put the last info of each episode that has ended into `rows`, the next one's aside.
 
-        Args:
-            ended: indices of the environments whose episode has ended.
-            cut_short: whether by a limit of time alone, for every environment.
-            infos: of the step.
-            own: keys of those that the environment itself gave; wrappers added the others.
-            rows: what `infos` hold for every environment.
+        `cut_short` says for every environment whether by a limit of time alone; `own` are the keys
+        of the infos that the environment itself gave, and `rows` what all hold for each.
         """
         last_rows = _rows(infos["final_info"], self.num_envs)
         for index in ended:
-            added = {key: value for key, value in rows[index].items() if key not in own}
-            self.reset_infos[index] = {
-                key: value for key, value in rows[index].items() if key in own
-            }
-            rows[index] = last_rows[index] | added
+            row = rows[index]
+            self.reset_infos[index] = {key: row[key] for key in row if key in own}
+            rows[index] = last_rows[index] | {key: row[key] for key in row if key not in own}
             rows[index]["TimeLimit.truncated"] = bool(cut_short[index])
             rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
 
@@ -326,35 +320,24 @@ def make_sb3_vec_env(num_envs: int, *, seed: int | None = None, **kwargs: Any) -
 def _rows(infos: Info, count: int, start: Info | None = None) -> list[Info]:
     """Turn a dictionary of arrays with masks into `count` dictionaries of values.
 
-    Args:
-        infos: as `VectorEnv._add_info` makes them: entry i of `infos[key]` belongs to environment i
-            if `infos["_" + key][i]`, or if there is no such mask.
-        count: number of environments.
-        start: what is in every dictionary from the start.
+    Infos are as `VectorEnv._add_info` makes them: entry i of `infos[key]` belongs to environment i
+    if `infos["_" + key][i]`, or if there is no such mask. `start` is in every dictionary.
     """
-    rows = [start.copy() for _ in range(count)] if start else [{} for _ in range(count)]
+    rows = [dict(start or {}) for _ in range(count)]
     for key, values in infos.items():
         if key[:1] == "_" and key[1:] in infos:
             continue
-        column = _column(values, count)
-        mask = infos.get(f"_{key}")
-        present = None if mask is None else mask.tolist()
-        if present is None or all(present):
-            for row, value in zip(rows, column, strict=True):
-                row[key] = value
+        column: list[Any]
+        if isinstance(values, dict):
+            column = _rows(values, count)
+        elif values.ndim == 1:
+            # Floating-point numbers stay NumPy's, as the single environments give them.
+            column = list(values) if values.dtype.kind == "f" else values.tolist()
         else:
-            for row, value, is_present in zip(rows, column, present, strict=True):
-                if is_present:
-                    row[key] = value
+            column = list(values.copy())
+        mask = infos.get(f"_{key}")
+        present = [True] * count if mask is None else mask.tolist()
+        for row, value, is_present in zip(rows, column, present, strict=True):
+            if is_present:
+                row[key] = value
     return rows
-
-
-def _column(values: Any, count: int) -> list[Any]:
-    """One value for every environment: a number, text, an array or a dictionary of its own."""
-    if isinstance(values, dict):
-        return _rows(values, count)
-    if values.ndim == 1:
-        # Floating-point numbers stay NumPy's, as the single environments give them.
-        column: list[Any] = list(values) if values.dtype.kind == "f" else values.tolist()
-        return column
-    return list(values.copy())

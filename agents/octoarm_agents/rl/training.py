@@ -11,28 +11,29 @@ from pathlib import Path
 from typing import Any
 from warnings import warn
 
+import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from octoarm_agents.common.environment import inspect_env, make_vector_env
+from octoarm_agents.common.environment import ENV_ID, inspect_env, make_vector_env
 from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
-from octoarm_agents.common.whole import whole_number
+from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.policy import Policy
 from octoarm_agents.policies.rollout import roll_out
 from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
-from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
+from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
 
-__all__ = ["CHECKPOINT", "SUMMARY", "Training", "train"]
+__all__ = ["JUDGED_STEPS", "Training", "train"]
 
-CHECKPOINT = "checkpoint.zip"
-SUMMARY = "training.json"
+JUDGED_STEPS = 500
+"""Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
 
 Progress = Callable[[int, float], None]
 
@@ -51,6 +52,9 @@ class Training:
         episodes: of each evaluation.
         env: further arguments of the environment.
         hyperparameters: as in their file, under the environment's id.
+
+    Raises:
+        ValueError: a number out of its range, or an unknown algorithm.
     """
 
     algorithm: str
@@ -62,6 +66,10 @@ class Training:
     episodes: int
     env: dict[str, Any]
     hyperparameters: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        algorithm_class(self.algorithm)
+        whole_fields(self, steps=1, seed=0, num_envs=1, evaluations=1, episodes=1)
 
     @classmethod
     def make(
@@ -77,23 +85,16 @@ class Training:
         env: Mapping[str, Any] | None = None,
         hyperparameters: Hyperparameters | None = None,
     ) -> Training:
-        """Describe a training; what is not given stands in the algorithm's own file.
-
-        Raises:
-            ValueError: a number out of its range, or an unknown algorithm.
-        """
-        algorithm_class(algorithm)
+        """Describe a training; what is not given stands in the algorithm's own file."""
         given = hyperparameters or Hyperparameters.load(algorithm)
-        steps = given.steps if steps is None else steps
-        num_envs = given.num_envs if num_envs is None else num_envs
         return cls(
             algorithm,
             target,
-            whole_number("steps", steps, 1),
-            whole_number("seed", seed),
-            whole_number("num_envs", num_envs, 1),
-            whole_number("evaluations", evaluations, 1),
-            whole_number("episodes", episodes, 1),
+            given.steps if steps is None else steps,
+            seed,
+            given.num_envs if num_envs is None else num_envs,
+            evaluations,
+            episodes,
             dict(env or {}),
             given.entries(),
         )
@@ -144,64 +145,72 @@ def train(
     if extend and not resume:
         raise ValueError("extend = True: expected resume = True too")
     out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / CHECKPOINT
+    checkpoint = out / "checkpoint.zip"
     saved = None
     if checkpoint.exists():
         if not resume:
-            raise ValueError(f"{out} holds a training: resume it, or choose another folder")
+            raise ValueError(
+                f"{out} holds a training: resume it (--resume), or choose another folder"
+            )
         saved = read_checkpoint(checkpoint)
         extended = extend and saved["training"].get("steps", training.steps) < training.steps
         _check_same(checkpoint, saved["training"], _plain(training), extended)
         finished = _finished(out, saved, training.steps)
         if finished is not None:
             return finished
-        if extended and saved["started"]:
+        if extended:
             _extend(saved, training)
     # Sums that threads share are rounded otherwise, and networks so small gain nothing by them.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        run = _Run(training, out, command)
+        run = _Run(training, out, progress, command)
         try:
-            return run.run(saved, tensorboard, progress)
+            return run.run(saved, tensorboard)
         finally:
             run.envs.close()
     finally:
         torch.set_num_threads(threads)
 
 
-class _Run:
-    """A training under way."""
+class _Run(BaseCallback):
+    """A training under way; it evaluates and saves between rollouts, when nothing is half done."""
 
-    def __init__(self, training: Training, out: Path, command: str | None) -> None:
-        self.training = training
-        self.out = out
-        self.command = command
+    model: Any
+
+    def __init__(
+        self, training: Training, out: Path, progress: Progress | None, command: str | None
+    ) -> None:
+        super().__init__()
+        self.training, self.out, self.command = training, out, command
+        self.progress = progress or (lambda done, value: None)
         arguments = {"target": training.target, **training.env}
-        given = Hyperparameters.from_entries(training.hyperparameters)
-        self.hyperparameters = given
-        self.arms: Sb3VecEnv = make_sb3_vec_env(
+        self.hyperparameters = given = Hyperparameters.from_entries(training.hyperparameters)
+        self.arms = make_sb3_vec_env(
             training.num_envs, seed=training.seed, **{"threads": 1, **given.env, **arguments}
         )
         self.monitor = VecMonitor(self.arms)
         normalize = {"gamma": given.arguments.get("gamma", 0.99), **given.normalize}
         self.envs = VecNormalize(self.monitor, **normalize)
-        self.parameters, self.settings = _inspect(arguments)
+        self.parameters, self.settings = inspect_env(gym.make(ENV_ID, **arguments))
         self.judges = make_vector_env(
-            training.episodes, self.parameters, self.settings, steps=500, threads=1
+            training.episodes, self.parameters, self.settings, steps=JUDGED_STEPS, threads=1
         )
         self.curve: list[dict[str, Any]] = []
-        self.best: dict[str, Any] | None = None
         self.seconds = 0.0
         self.resumed = 0
         self.extended: list[dict[str, Any]] = []
-        self.model: Any = None
 
-    def run(
-        self, saved: dict[str, Any] | None, tensorboard: bool, progress: Progress | None
-    ) -> dict[str, Any]:
+    @property
+    def best(self) -> dict[str, Any]:
+        """The first of the points with the highest return."""
+        return max(self.curve, key=lambda point: float(point["return"]))
+
+    def run(self, saved: dict[str, Any] | None, tensorboard: bool) -> dict[str, Any]:
         kind = algorithm_class(self.training.algorithm)
-        if saved is None:
+        if saved is not None:
+            self.restore(kind, saved)
+        else:
             try:
                 self.model = kind(
                     self.hyperparameters.policy,
@@ -214,79 +223,16 @@ class _Run:
                 raise ValueError(
                     f"hyper-parameters of {self.training.algorithm}: {error}"
                 ) from None
-            # Before the first step, so that a training killed early can be resumed too.
-            self.checkpoint(started=False)
-        else:
-            self.restore(kind, saved)
-        if tensorboard:
-            logger = configure(str(self.out / "tensorboard"), ["tensorboard"])
-        else:
-            logger = Logger(None, [])
-        self.model.set_logger(logger)
+        logs = str(self.out / "tensorboard")
+        self.model.set_logger(configure(logs, ["tensorboard"]) if tensorboard else Logger(None, []))
         left = self.training.steps - self.model.num_timesteps
         self.begun = time.perf_counter()
-        self.model.learn(
-            left,
-            callback=_Watcher(self, progress),
-            reset_num_timesteps=saved is None or not saved["started"],
-        )
-        self.evaluate()
-        return self.finish()
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds of training, evaluations not counted."""
-        return self.seconds + time.perf_counter() - self.begun
-
-    def policy(self) -> Policy:
-        training = {
-            **_plain(self.training),
-            "trained_steps": self.model.num_timesteps,
-            "command": self.command,
-            "extended": self.extended,
-        }
-        return Policy(
-            export_network(self.model, self.envs),
-            self.training.algorithm,
-            self.parameters,
-            self.settings,
-            training,
-            self.training.seed,
-        )
-
-    def evaluate(self) -> None:
-        """Let the policy act as it will be kept; keep it if it is the best so far."""
-        self.seconds = self.elapsed
-        policy = self.policy()
-        returns = roll_out(policy, self.judges, seed=JUDGING_SEED).returns
-        point = {
-            "steps": self.model.num_timesteps,
-            "seconds": self.seconds,
-            "return": float(returns.mean()),
-            "lowest": float(returns.min()),
-            "highest": float(returns.max()),
-        }
-        self.curve.append(point)
-        if self.best is None or point["return"] > self.best["return"]:
-            self.best = point
-            policy.training["return"] = point["return"]
-            policy.save(self.out / "best.npz")
-        self.model.logger.record("eval/return", point["return"])
-        self.begun = time.perf_counter()
-
-    def finish(self) -> dict[str, Any]:
-        policy = self.policy()
-        policy.training["return"] = self.curve[-1]["return"]
+        self.model.learn(left, callback=self, reset_num_timesteps=saved is None)
+        policy = self.evaluate()
         policy.save(self.out / "final.npz")
         write_atomically(self.out / "final_model.zip", self.model.save)
         write_atomically(self.out / "vecnormalize.pkl", lambda file: self.envs.save(str(file)))
-        summary = self.summary()
-        write_json(self.out / SUMMARY, summary)
-        self.checkpoint(started=True)
-        return summary
-
-    def summary(self) -> dict[str, Any]:
-        return {
+        summary = {
             "training": _plain(self.training),
             "command": self.command,
             "environment": self.settings,
@@ -296,7 +242,7 @@ class _Run:
             "seconds": self.seconds,
             "resumed": self.resumed,
             "extended": self.extended,
-            "parameters": self.policy().parameter_count,
+            "parameters": policy.parameter_count,
             "machine": describe_machine(),
             "versions": package_versions(
                 "octoarm-env",
@@ -307,89 +253,93 @@ class _Run:
                 "numpy",
             ),
         }
-
-    def checkpoint(self, *, started: bool) -> None:
-        """Save all that the rest of the training depends on."""
-        self.model.policy.set_training_mode(False)
-        write_checkpoint(
-            self.out / CHECKPOINT,
-            self.model,
-            {
-                "training": _plain(self.training),
-                "started": started,
-                "curve": self.curve,
-                "best": self.best,
-                "seconds": self.seconds,
-                "resumed": self.resumed,
-                "extended": self.extended,
-                "normalization": self.envs if started else None,
-                "normalized_returns": self.envs.returns,
-                "episode_returns": self.monitor.episode_returns if started else None,
-                "episode_lengths": self.monitor.episode_lengths if started else None,
-                "memory": getattr(self.model, "_last_lstm_states", None),
-                "arms": self.arms.vector_env.unwrapped.snapshot() if started else None,
-                "python_random": random.getstate(),
-                "numpy_random": np.random.get_state(),  # noqa: NPY002, stable-baselines3 draws here
-                "torch_random": torch.get_rng_state(),
-                "action_random": self.model.action_space.np_random.bit_generator.state,
-            },
-        )
-
-    def restore(self, kind: Any, saved: dict[str, Any]) -> None:
-        self.curve, self.best = saved["curve"], saved["best"]
-        self.seconds, self.resumed = saved["seconds"], saved["resumed"] + 1
-        self.extended = saved.get("extended", [])
-        if saved["started"]:
-            # The arms must have begun before they can go on.
-            self.monitor.reset()
-            self.envs = saved["normalization"]
-            self.envs.set_venv(self.monitor)
-        self.model = saved["load"](kind, self.envs)
-        if saved["started"]:
-            self.arms.vector_env.unwrapped.restore(saved["arms"])
-            self.envs.returns = saved["normalized_returns"]
-            self.monitor.episode_returns = saved["episode_returns"]
-            self.monitor.episode_lengths = saved["episode_lengths"]
-            if saved["memory"] is not None:
-                self.model._last_lstm_states = saved["memory"]
-        random.setstate(saved["python_random"])
-        np.random.set_state(saved["numpy_random"])  # noqa: NPY002
-        torch.set_rng_state(saved["torch_random"])
-        self.model.action_space.np_random.bit_generator.state = saved["action_random"]
-
-
-class _Watcher(BaseCallback):
-    """Evaluates and saves between rollouts, when nothing is half done."""
-
-    def __init__(self, run: _Run, progress: Progress | None) -> None:
-        super().__init__()
-        self._run = run
-        self._progress = progress
+        write_json(self.out / "training.json", summary)
+        self.checkpoint()
+        return summary
 
     def _on_rollout_start(self) -> None:
-        run = self._run
-        done, training = self.model.num_timesteps, run.training
-        last = run.curve[-1]["steps"] if run.curve else 0
-        interval = training.steps / training.evaluations
-        if done // interval > last // interval and done < training.steps:
-            run.evaluate()
-            run.checkpoint(started=True)
-            run.begun = time.perf_counter()
-        if self._progress is not None:
-            self._progress(done, run.curve[-1]["return"] if run.curve else float("nan"))
+        done, interval = self.model.num_timesteps, self.training.steps / self.training.evaluations
+        last = self.curve[-1]["steps"] if self.curve else 0
+        if done // interval > last // interval and done < self.training.steps:
+            self.evaluate()
+            self.checkpoint()
+            self.begun = time.perf_counter()
+        self.progress(done, self.curve[-1]["return"] if self.curve else float("nan"))
 
     def _on_step(self) -> bool:
         return True
 
+    def evaluate(self) -> Policy:
+        """Let the policy act as it will be kept; keep it if it is the best so far."""
+        self.seconds += time.perf_counter() - self.begun
+        policy = Policy(
+            export_network(self.model, self.envs),
+            self.training.algorithm,
+            self.parameters,
+            self.settings,
+            {
+                **_plain(self.training),
+                "trained_steps": self.model.num_timesteps,
+                "command": self.command,
+                "extended": self.extended,
+            },
+            self.training.seed,
+        )
+        returns = roll_out(policy, self.judges, seed=JUDGING_SEED, steps=JUDGED_STEPS).returns
+        point = {
+            "steps": self.model.num_timesteps,
+            "seconds": self.seconds,
+            "return": float(returns.mean()),
+            "lowest": float(returns.min()),
+            "highest": float(returns.max()),
+        }
+        policy.training["return"] = point["return"]
+        self.curve.append(point)
+        if self.best is point:
+            policy.save(self.out / "best.npz")
+        self.model.logger.record("eval/return", point["return"])
+        return policy
 
-def _inspect(arguments: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    import gymnasium as gym
+    def checkpoint(self) -> None:
+        """Save all that the rest of the training depends on."""
+        self.model.policy.set_training_mode(False)
+        state = {
+            "training": _plain(self.training),
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "resumed": self.resumed,
+            "extended": self.extended,
+            "normalization": self.envs,
+            "normalized_returns": self.envs.returns,
+            "episode_returns": self.monitor.episode_returns,
+            "episode_lengths": self.monitor.episode_lengths,
+            "memory": getattr(self.model, "_last_lstm_states", None),
+            "arms": self.arms.vector_env.unwrapped.snapshot(),
+            "python_random": random.getstate(),
+            "numpy_random": np.random.get_state(),  # noqa: NPY002, stable-baselines3 draws here
+            "torch_random": torch.get_rng_state(),
+            "action_random": self.model.action_space.np_random.bit_generator.state,
+        }
+        write_checkpoint(self.out / "checkpoint.zip", self.model, state)
 
-    env = gym.make("OctoArm-v0", **arguments)
-    try:
-        return inspect_env(env)
-    finally:
-        env.close()
+    def restore(self, kind: Any, saved: dict[str, Any]) -> None:
+        self.curve, self.seconds = saved["curve"], saved["seconds"]
+        self.resumed, self.extended = saved["resumed"] + 1, saved.get("extended", [])
+        # The arms must have begun before they can go on.
+        self.monitor.reset()
+        self.envs = saved["normalization"]
+        self.envs.set_venv(self.monitor)
+        self.model = saved["load"](kind, self.envs)
+        self.arms.vector_env.unwrapped.restore(saved["arms"])
+        self.envs.returns = saved["normalized_returns"]
+        self.monitor.episode_returns = saved["episode_returns"]
+        self.monitor.episode_lengths = saved["episode_lengths"]
+        if saved["memory"] is not None:
+            self.model._last_lstm_states = saved["memory"]
+        random.setstate(saved["python_random"])
+        np.random.set_state(saved["numpy_random"])  # noqa: NPY002
+        torch.set_rng_state(saved["torch_random"])
+        self.model.action_space.np_random.bit_generator.state = saved["action_random"]
 
 
 def _plain(training: Training) -> dict[str, Any]:
@@ -442,7 +392,7 @@ def _finished(out: Path, saved: dict[str, Any], steps: int) -> dict[str, Any] | 
     if not curve or curve[-1]["steps"] < steps:
         return None
     try:
-        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        summary: dict[str, Any] = json.loads((out / "training.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return summary

@@ -42,36 +42,62 @@ def sample(trial: Any, algorithm: str, start: Hyperparameters) -> Hyperparameter
         start: what is not searched stays as it is there.
     """
     arguments = copy.deepcopy(start.arguments)
+    kwargs = arguments["policy_kwargs"]
     rate = trial.suggest_float("learning_rate", 2e-4, 4e-3, log=True)
     arguments["learning_rate"] = f"lin_{rate:.3g}"
-    arguments["gamma"] = trial.suggest_categorical("gamma", [0.8, 0.9, 0.95, 0.98])
+    for name, values in _choices(algorithm).items():
+        value = trial.suggest_categorical(name, values)
+        if name == "width":
+            kwargs["net_arch"] = [value] * len(kwargs["net_arch"])
+        else:
+            (kwargs if name == "lstm_hidden_size" else arguments)[name] = value
+    if algorithm in _ON_POLICY:
+        kwargs["log_std_init"] = round(trial.suggest_float("log_std_init", -2.0, -0.5), 2)
+    if algorithm == "tqc":
+        dropped = trial.suggest_int("top_quantiles_to_drop_per_net", 0, 4)
+        arguments["top_quantiles_to_drop_per_net"] = dropped
+    limit = trial.suggest_categorical("max_episode_steps", [50, 100, 200, 500])
+    return replace(start, env={**start.env, "max_episode_steps": limit}, arguments=arguments)
+
+
+def _choices(algorithm: str) -> dict[str, list[Any]]:
+    """Values that are tried, by name, in the order in which they are drawn."""
     # Larger ones, and more passes over the same data, take a memory too long here.
     recurrent = algorithm == "recurrent_ppo"
-    width = trial.suggest_categorical("width", [64, 128] if recurrent else [64, 128, 256])
-    arguments["batch_size"] = trial.suggest_categorical("batch_size", [128, 256, 512])
-    kwargs = arguments["policy_kwargs"]
+    choices: dict[str, list[Any]] = {
+        "gamma": [0.8, 0.9, 0.95, 0.98],
+        "width": [64, 128] if recurrent else [64, 128, 256],
+        "batch_size": [128, 256, 512],
+    }
     if recurrent:
-        kwargs["net_arch"] = [width]
-        kwargs["lstm_hidden_size"] = trial.suggest_categorical("lstm_hidden_size", [32, 64])
-    else:
-        kwargs["net_arch"] = [width, width]
-    if algorithm in _ON_POLICY:
-        arguments["n_steps"] = trial.suggest_categorical("n_steps", [128, 256, 512])
-        arguments["n_epochs"] = trial.suggest_categorical(
-            "n_epochs", [5, 10] if recurrent else [5, 10, 20]
-        )
-        arguments["gae_lambda"] = trial.suggest_categorical("gae_lambda", [0.9, 0.95, 0.98])
-        arguments["clip_range"] = trial.suggest_categorical("clip_range", [0.1, 0.2, 0.3])
-        kwargs["log_std_init"] = round(trial.suggest_float("log_std_init", -2.0, -0.5), 2)
-    else:
-        arguments["tau"] = trial.suggest_categorical("tau", [0.005, 0.01, 0.02])
-        arguments["gradient_steps"] = trial.suggest_categorical("gradient_steps", [1, 2, 4])
-        if algorithm == "tqc":
-            dropped = trial.suggest_int("top_quantiles_to_drop_per_net", 0, 4)
-            arguments["top_quantiles_to_drop_per_net"] = dropped
-    limit = trial.suggest_categorical("max_episode_steps", [50, 100, 200, 500])
-    env = {**start.env, "max_episode_steps": limit}
-    return replace(start, env=env, arguments=arguments)
+        choices["lstm_hidden_size"] = [32, 64]
+    if algorithm not in _ON_POLICY:
+        return choices | {"tau": [0.005, 0.01, 0.02], "gradient_steps": [1, 2, 4]}
+    return choices | {
+        "n_steps": [128, 256, 512],
+        "n_epochs": [5, 10] if recurrent else [5, 10, 20],
+        "gae_lambda": [0.9, 0.95, 0.98],
+        "clip_range": [0.1, 0.2, 0.3],
+    }
+
+
+def _present(algorithm: str, start: Hyperparameters) -> dict[str, Any]:
+    """What the present file holds, by the names of `sample`."""
+    kwargs = start.arguments["policy_kwargs"]
+    given = {
+        # What a file may leave out.
+        "max_episode_steps": 500,
+        "top_quantiles_to_drop_per_net": 2,
+        **start.arguments,
+        **kwargs,
+        **start.env,
+        "width": kwargs["net_arch"][0],
+        "learning_rate": float(str(start.arguments["learning_rate"]).removeprefix("lin_")),
+    }
+    names = ["learning_rate", *_choices(algorithm), "max_episode_steps"]
+    names += ["log_std_init"] * (algorithm in _ON_POLICY)
+    names += ["top_quantiles_to_drop_per_net"] * (algorithm == "tqc")
+    return {name: given[name] for name in names}
 
 
 def tune_algorithm(
@@ -82,7 +108,7 @@ def tune_algorithm(
     minutes: float | None = None,
     steps: int | None = None,
     seed: int = 0,
-    report: Callable[[int, float | None, float | None], None] | None = None,
+    report: Callable[[Any, Any], None] | None = None,
 ) -> dict[str, Any]:
     """Search hyper-parameters by short trainings, each on all three targets with one seed.
 
@@ -97,22 +123,23 @@ def tune_algorithm(
         minutes: stop beginning trials after this time.
         steps: environment steps of a training; None: `TRIAL_STEPS`.
         seed: of the sampler and of every training.
-        report: called after every trial with its number, its value and the best so far.
+        report: called after every trial with Optuna's study and trial.
 
     Raises:
         ValueError: neither trials nor minutes given, or one of them not positive.
     """
-    import optuna
-
     if trials is None and minutes is None:
         raise ValueError("trials = None and minutes = None: expected at least one of them")
     if minutes is not None and not minutes > 0:
         raise ValueError(f"minutes = {minutes}: expected a positive number")
     trials = None if trials is None else whole_number("trials", trials, 1)
-    steps = None if steps is None else whole_number("steps", steps, 1)
-    seed = whole_number("seed", seed)
     start = Hyperparameters.load(algorithm)
-    steps = steps or TRIAL_STEPS[algorithm]
+    steps = whole_number("steps", TRIAL_STEPS[algorithm] if steps is None else steps, 1)
+    seed = whole_number("seed", seed)
+
+    import optuna
+    from optuna.trial import TrialState
+
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
@@ -142,60 +169,25 @@ def tune_algorithm(
                 raise optuna.TrialPruned
         return float(np.mean(values))
 
-    def after(study: Any, trial: Any) -> None:
-        if report is not None:
-            complete = [each for each in study.trials if each.state.name == "COMPLETE"]
-            best = max((each.value for each in complete), default=None)
-            report(trial.number, trial.value, best)
+    def ended() -> list[Any]:
+        return study.get_trials(states=(TrialState.COMPLETE, TrialState.PRUNED))
 
-    left = None if trials is None else max(trials - len(_ended(study)), 0)
-    if left != 0:
+    left = None if trials is None else trials - len(ended())
+    if left is None or left > 0:
         timeout = None if minutes is None else 60 * minutes
-        study.optimize(objective, n_trials=left, timeout=timeout, callbacks=[after])
-    return _write(study, algorithm, start, out, steps, seed)
-
-
-def _ended(study: Any) -> list[Any]:
-    return [each for each in study.trials if each.state.name in ("COMPLETE", "PRUNED")]
-
-
-def _present(algorithm: str, start: Hyperparameters) -> dict[str, Any]:
-    """What the present file holds, by the names of `sample`."""
-    arguments = start.arguments
-    kwargs = arguments["policy_kwargs"]
-    names = ["gamma", "batch_size"]
-    names += (
-        ["n_steps", "n_epochs", "gae_lambda", "clip_range"]
-        if algorithm in _ON_POLICY
-        else ["tau", "gradient_steps"]
-    )
-    chosen = {name: arguments[name] for name in names}
-    chosen["learning_rate"] = float(str(arguments["learning_rate"]).removeprefix("lin_"))
-    chosen["max_episode_steps"] = start.env.get("max_episode_steps", 500)
-    chosen["width"] = kwargs["net_arch"][0]
-    if algorithm in _ON_POLICY:
-        chosen["log_std_init"] = kwargs["log_std_init"]
-    if algorithm == "recurrent_ppo":
-        chosen["lstm_hidden_size"] = kwargs["lstm_hidden_size"]
-    if algorithm == "tqc":
-        chosen["top_quantiles_to_drop_per_net"] = arguments.get("top_quantiles_to_drop_per_net", 2)
-    return chosen
-
-
-def _write(
-    study: Any, algorithm: str, start: Hyperparameters, out: Path, steps: int, seed: int
-) -> dict[str, Any]:
-    ended = _ended(study)
-    trials = [
+        study.optimize(
+            objective, n_trials=left, timeout=timeout, callbacks=[] if report is None else [report]
+        )
+    trial_rows = [
         {
             "number": each.number,
-            "value": each.value if each.state.name == "COMPLETE" else None,
-            "pruned": each.state.name == "PRUNED",
+            "value": each.value if each.state == TrialState.COMPLETE else None,
+            "pruned": each.state == TrialState.PRUNED,
             "parameters": each.params,
             "returns": {name: each.user_attrs.get(name) for name in TARGETS},
             "seconds": None if each.duration is None else each.duration.total_seconds(),
         }
-        for each in ended
+        for each in ended()
     ]
     best = study.best_trial
     entries = json.loads(best.user_attrs["hyperparameters"])
@@ -203,9 +195,9 @@ def _write(
         "algorithm": algorithm,
         "steps": steps,
         "seed": seed,
-        "trials": trials,
+        "trials": trial_rows,
         "best": {"number": best.number, "value": best.value, "hyperparameters": entries},
-        "seconds": sum(each["seconds"] or 0.0 for each in trials),
+        "seconds": sum(each["seconds"] or 0.0 for each in trial_rows),
         "machine": describe_machine(),
         "versions": package_versions("optuna", "stable-baselines3", "sb3-contrib", "octoarm-env"),
     }
