@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,12 @@ pytest.importorskip("grpc")
 pytest.importorskip("dm_env_rpc")
 
 from octoarm_agents.benchmark import server
-from octoarm_agents.benchmark.server import Sample, ServerResult, load_name
-from octoarm_agents.benchmark.speed import Spread
+from octoarm_agents.benchmark.server import load_name
+from octoarm_agents.benchmark.turns import Spread
 
 FOLDER = "OCTOARM_SERVER_FOLDER"
 PROGRAMS = ("octoarm-server", "octoarm-load")
+SERVERS = (server.SERVER, server.SLEEPING)
 TINY = ("benchmark", "--server", "--seconds", 0.1, "--rounds", 1)
 
 
@@ -38,116 +40,68 @@ def _what_cargo_built():
 @pytest.fixture(scope="module")
 def result():
     """One run with all that there is."""
-    told = []
-    measured = server.measure_server(0.1, 1, lambda *words: told.append(words))
-    assert told == [(name, len(told)) for name in measured.loads]
-    return measured
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(server, "CONNECTIONS", (1, 4))
+        return server.measure_server(0.1, 1)
 
 
 class TestMeasuring:
     def test_one_run_is_complete(self, result):
-        names = {load_name(server.RUST, connections, 0.01) for connections in server.CONNECTIONS}
-        names |= {load_name(each, 1, 0.001) for each in (server.RUST, server.RUST_SLEEPING)}
-        names |= {load_name(server.RUST_SLEEPING, 1, 0.01), server.LOCAL, server.DEEPMIND}
+        names = {load_name(each, 1, period) for each in SERVERS for period in server.PERIODS}
+        names |= {load_name(server.SERVER, 4, 0.01), server.LOCAL, server.DEEPMIND}
         names |= {server.REMOTE} - set(result.left_out)
-        assert set(result.samples) == set(result.loads) == names
-        for name, samples in result.samples.items():
-            load = result.loads[name]
-            alone = load.connections == 1 and load.contender in (server.RUST, server.RUST_SLEEPING)
-            for sample in samples:
-                assert sample.steps >= 25 * load.connections
-                trips = [sample.round_trip[percentile] for percentile in server.PERCENTILES]
-                assert 0 < trips[0] <= trips[1] <= trips[2] <= trips[3]
-                assert 0 < sample.steps_per_second <= 1e6 * max(load.connections, 1) / 5
-                assert (sample.over_physics is not None) == alone
-                assert not alone or 0 < sample.over_physics < trips[3]
+        assert set(result.figures) == names
+        for name, figures in result.figures.items():
+            trips = [figures[f"{percentile}_us"][0] for percentile in server.PERCENTILES]
+            assert 0 < trips[0] <= trips[1] <= trips[2] <= trips[3]
+            assert 0 < figures["steps_per_second"][0] <= 1e6
+            alone = name.startswith(server.SERVER) and ", 1 connection," in name
+            assert (server.OVER_PHYSICS in figures) == alone
+            assert not alone or 0 < figures[server.OVER_PHYSICS][0] < trips[3]
 
     def test_its_file(self, result):
         content = json.loads(json.dumps(result.to_dict(), allow_nan=False))
         assert content["rounds"] == 1
-        assert content["target"]["over_physics_us"] == 150
-        medians = content["target"]["median_us"]
-        assert set(medians) == {"10_ms", "1_ms"}
-        assert content["target"]["reached"] == (max(medians.values()) <= 150)
-        row = content["loads"][load_name(server.RUST, 16, 0.01)]
-        assert (row["connections"], row["control_period_seconds"]) == (16, 0.01)
-        assert row["round_trip_us"]["p99.9"]["max"] >= row["round_trip_us"]["p50"]["median"] > 0
-        assert content["ratios"]["deepmind_minus_local"]["median"] > 0
+        row = content["contenders"][load_name(server.SERVER, 4, 0.01)]
+        assert row["p99.9_us"]["max"] >= row["p50_us"]["median"] > 0
+        assert content["ratios"]["deepmind_over_local"]["median"] > 0
         assert {"grpcio", "protobuf", "dm-env-rpc", "octoarm-env"} <= set(content["versions"])
         assert all(content["versions"].values())
         assert content["machine"]["cpu_count"] >= 1
 
     def test_ratios_are_formed_within_a_round(self):
-        def sample(rate, median, over=None):
-            return Sample(25, rate, dict.fromkeys(server.PERCENTILES, median), over)
-
-        rust, sleeping = (load_name(each, 1, 0.01) for each in (server.RUST, server.RUST_SLEEPING))
-        loads = {
-            name: server.Load(contender, 1, 0.01, print)
-            for name, contender in ((rust, server.RUST), (server.LOCAL, server.LOCAL))
+        rust, sleeping = (load_name(each, 1, 0.01) for each in SERVERS)
+        medians = {
+            rust: [100.0, 50.0],
+            sleeping: [120.0, 80.0],
+            server.LOCAL: [10.0, 20.0],
+            server.DEEPMIND: [50.0, 40.0],
         }
-        samples = {
-            rust: [sample(10.0, 100.0, 60.0), sample(30.0, 50.0, 40.0)],
-            sleeping: [sample(5.0, 120.0), sample(5.0, 80.0)],
-            server.LOCAL: [sample(1.0, 10.0), sample(1.0, 20.0)],
-            server.DEEPMIND: [sample(1.0, 50.0), sample(1.0, 40.0)],
+        figures = {
+            name: {"steps_per_second": [1.0, 1.0], server.MEDIAN: values}
+            for name, values in medians.items()
         }
-        found = {ratio.key: ratio.spread for ratio in ServerResult(2, 1.0, loads, samples).ratios()}
-        assert found == {
+        spreads = {each.key: each.spread(figures) for each in server.comparisons()}
+        assert {key: spread for key, spread in spreads.items() if spread is not None} == {
             "busy_poll_saves_10_ms": Spread(20.0, 25.0, 30.0),
-            "over_physics_rust_10_ms": Spread(40.0, 50.0, 60.0),
             "deepmind_minus_local": Spread(20.0, 30.0, 40.0),
             "deepmind_over_local": Spread(2.0, 3.5, 5.0),
         }
 
-    @pytest.mark.parametrize(("slow", "reached"), [(150.0, True), (150.1, False)])
-    def test_the_target_is_for_both_control_periods(self, slow, reached):
-        trips = dict.fromkeys(server.PERCENTILES, 200.0)
-        samples = {
-            load_name(server.RUST, 1, period): [Sample(25, 5.0, trips, over)]
-            for period, over in zip(server.PERIODS, (20.0, slow), strict=True)
-        }
-        target = ServerResult(1, 1.0, {}, samples).target()
-        assert target["median_us"] == {"10_ms": 20.0, "1_ms": slow}
-        assert target["reached"] is reached
-
 
 class TestCommand:
-    def test_json_alone_on_standard_output(self, octoarm, tmp_path, monkeypatch):
-        monkeypatch.setattr(server, "CONNECTIONS", (1, 2))
-        out = tmp_path / "new" / "server.json"
-        run = octoarm(*TINY, "--json", "--out", out)
-        assert run.exit_code == 0, run.output
-        content = json.loads(run.stdout)
-        assert content == json.loads(out.read_text(encoding="utf-8"))
-        assert load_name(server.RUST, 2, 0.01) in content["loads"]
-
-    def test_table(self, octoarm, monkeypatch, result):
-        monkeypatch.setattr(server, "measure_server", lambda *_: result)
-        run = octoarm(*TINY)
-        assert run.exit_code == 0, run.output
-        for words in (
-            "connections",
-            "p99.9",
-            server.RUST,
-            server.DEEPMIND,
-            "Target, at most 150 µs",
-        ):
-            assert words in run.stdout
-        assert ("reached, " in run.stdout) == result.target()["reached"]
-
-    def test_what_is_left_out_is_named(self, octoarm, monkeypatch, result):
-        less = ServerResult(
-            1, 1.0, result.loads, result.samples, {server.REMOTE: "it is not there"}
-        )
+    def test_table_and_file(self, octoarm, monkeypatch, result, tmp_path):
+        less = replace(result, left_out={server.REMOTE: "it is not there"})
         monkeypatch.setattr(server, "measure_server", lambda *_: less)
-        assert f"{server.REMOTE} left out: it is not there" in octoarm(*TINY).stdout
-
-    def test_one_thing_at_a_time(self, octoarm):
-        run = octoarm(*TINY, "--pictures")
-        assert run.exit_code == 2
-        assert "--server" in run.stderr
-        assert "not together with --pictures" in run.stderr
+        out = tmp_path / "new" / "server.json"
+        run = octoarm(*TINY, "--out", out)
+        assert run.exit_code == 0, run.output
+        for words in ("connection", "p99.9", server.SERVER, server.DEEPMIND, "over physics"):
+            assert words in run.stdout
+        assert f"{server.REMOTE} left out: it is not there" in run.stdout
+        assert json.loads(octoarm(*TINY, "--json").stdout) == json.loads(
+            out.read_text(encoding="utf-8")
+        )
 
     def test_without_the_program(self, octoarm, monkeypatch, tmp_path):
         monkeypatch.setenv(FOLDER, str(tmp_path))

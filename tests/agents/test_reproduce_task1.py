@@ -24,7 +24,6 @@ from octoarm_agents.experiments.emulation.trials import (
     record_trials,
     score_arm,
 )
-from octoarm_agents.experiments.figure5a import RANGES, SENSOR_NOISE, check_features
 from octoarm_agents.reservoir.baselines import linear
 from octoarm_agents.reservoir.readout import Readout
 from PIL import Image

@@ -12,8 +12,8 @@ from octoarm_agents.analysis.lyapunov import largest_lyapunov_exponent
 from octoarm_agents.analysis.survey import SurveySettings
 from octoarm_agents.calibration.score import initial_steps
 from octoarm_agents.common.whole import whole_fields, whole_number
-from octoarm_agents.comparison import Comparison, Protocol
-from octoarm_agents.comparison.agents import Cell
+from octoarm_agents.comparison import Comparison, TestPlan
+from octoarm_agents.comparison.agents import TrainingRun
 from octoarm_agents.comparison.linear_search import LinearSearch
 from octoarm_agents.demo import DemoSettings
 from octoarm_agents.experiments.runner import RunSettings
@@ -49,9 +49,9 @@ CALLS: dict[str, tuple[str, Any]] = {
     "input": ("steps", lambda n: smooth_noise(n, np.random.default_rng(0))),
     "Training": ("steps", lambda n: Training.make("ppo", "quadratic", steps=n)),
     "LinearSearch": ("population", lambda n: LinearSearch("quadratic", population=n)),
-    "Protocol": ("episodes", lambda n: Protocol(episodes=n)),
+    "TestPlan": ("episodes", lambda n: TestPlan(episodes=n)),
     "Comparison": ("seeds", lambda n: Comparison(seeds=n)),
-    "Cell": ("seed", lambda n: Cell("ppo", "quadratic", n, 1.0, Path())),
+    "TrainingRun": ("seed", lambda n: TrainingRun("ppo", "quadratic", n, 1.0, Path())),
     "DemoSettings": ("steps", lambda n: DemoSettings(steps=n)),
     "RunSettings": ("trials", lambda n: RunSettings(Path(), trials=n)),
     "SurveySettings": ("samples", lambda n: SurveySettings(samples=n)),
@@ -77,7 +77,7 @@ def test_whole_numbers_are_python_s() -> None:
 
 
 def test_fields_become_python_s_so_that_they_can_be_written_down() -> None:
-    assert type(Protocol(episodes=np.int64(4)).episodes) is int  # type: ignore[arg-type]
+    assert type(TestPlan(episodes=np.int64(4)).episodes) is int  # type: ignore[arg-type]
 
     @dataclass(frozen=True)
     class Some:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
+import functools
+import multiprocessing
 import os
-import subprocess
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +15,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from numpy.typing import NDArray
 
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
+from octoarm_agents.benchmark.turns import Contender, fitted, has_mujoco, timed
 from octoarm_env import (
     LIMIT_CYCLES,
     Arm,
@@ -37,23 +37,23 @@ __all__ = [
     "ENV_MADE",
     "SYNC",
     "TWIN",
-    "Contender",
-    "batch",
     "batch_name",
     "dry_body",
     "elsewhere_name",
-    "has_mujoco",
     "make_contenders",
     "other_instruction_sets",
+    "ringing_twin",
     "vector_name",
 ]
 
 Float = NDArray[np.float64]
 
+FIGURE = "microseconds_per_arm_step"
 TIMESTEP = 0.001
 CONTROL_PERIOD = 0.01
 PHYSICS_STEPS = round(CONTROL_PERIOD / TIMESTEP)
 EPISODE_STEPS = 500
+RUN_STEPS = 20_000
 
 BATCH = 64
 """Arms of the batch that is compared with others."""
@@ -62,8 +62,11 @@ BATCH_SIZES = (1, 8, BATCH, 1024)
 SYNC_ENVS = BATCH
 ASYNC_ENVS = 16
 
+LANES = 8
+"""Arms that share the lanes of vector instructions; more than these can share threads too."""
+
 _AMPLITUDE = 20.0
-"""Degrees; the environment's own default target."""
+"""Degrees."""
 
 ARM = "one arm"
 ARM_SERVO = "one arm, servo base"
@@ -95,41 +98,6 @@ def _on(threads: int) -> str:
     return ", 1 thread" if threads == 1 else f", {threads} threads"
 
 
-@dataclass(frozen=True)
-class Contender:
-    """Something to be timed.
-
-    Attributes:
-        name: its row in the table.
-        prepare: called before every slice, not timed.
-        run: make this many steps.
-        limit: most steps in a slice without a new `prepare`.
-        arms: arms that a step moves.
-        physics_steps: time steps of each that a step makes.
-        timestep: of the physics [s].
-        close: called when it is not needed any more.
-    """
-
-    name: str
-    prepare: Callable[[], Any]
-    run: Callable[[int], Any]
-    limit: int
-    arms: int = 1
-    physics_steps: int = 1
-    timestep: float = TIMESTEP
-    close: Callable[[], Any] = lambda: None
-
-    @property
-    def arm_steps(self) -> int:
-        """Physics steps of an arm in one step."""
-        return self.arms * self.physics_steps
-
-
-def has_mujoco() -> bool:
-    """Whether MuJoCo is installed."""
-    return importlib.util.find_spec("mujoco") is not None
-
-
 def other_instruction_sets() -> list[str]:
     """The vector instructions below the ones in use."""
     names = ["baseline", "avx2", "avx512"]
@@ -138,48 +106,35 @@ def other_instruction_sets() -> list[str]:
 
 def make_contenders() -> list[Contender]:
     """All of them; MuJoCo's twin only where it is installed."""
-    limit = 20_000
-    signal = LIMIT_CYCLES["quadratic"].signal(limit, _AMPLITUDE)
-    dry = dry_body()
-    threads = sorted({1, min(2, os.cpu_count() or 1)})
+    signal, dry = _signal(), dry_body()
+    counts = sorted({1, min(2, os.cpu_count() or 1)})
     contenders = [
         _arm_run(ARM, Arm(), signal),
         _arm_run(ARM_SERVO, Arm(actuator="servo"), signal),
         _arm_run(ARM_DRY, Arm(dry), signal),
         _arm_step(ARM_STEP, Arm(), signal),
-        batch(dry, BATCH, signal),
+        _batch(dry, BATCH, signal),
+        *map(_elsewhere, other_instruction_sets()),
     ]
-    contenders += [_elsewhere(name) for name in other_instruction_sets()]
-    for arms in BATCH_SIZES:
-        for count in threads if arms > LANES else [1]:
-            contenders.append(batch(ArmParameters(), arms, signal, count))
-    contenders.append(_environment(ENV_BARE, OctoArmEnv(control_period=CONTROL_PERIOD)))
-    made = gym.make("OctoArm-v0", control_period=CONTROL_PERIOD)
-    contenders.append(_environment(ENV_MADE, made))
-    for envs in BATCH_SIZES:
-        for count in threads if envs > LANES else [1]:
-            native = OctoArmVectorEnv(
-                envs,
-                control_period=CONTROL_PERIOD,
-                autoreset_mode=AutoresetMode.SAME_STEP,
-                threads=count,
-            )
-            contenders.append(_vector_environment(vector_name(envs, count), native))
-    for name, kind, count in (
-        (SYNC, SyncVectorEnv, SYNC_ENVS),
-        (ASYNC, AsyncVectorEnv, ASYNC_ENVS),
-    ):
-        # With its module, for processes that begin without what this one has imported.
-        make = [lambda: gym.make("octoarm_env:OctoArm-v0", control_period=CONTROL_PERIOD)] * count
-        loop = kind(make, autoreset_mode=AutoresetMode.SAME_STEP)
-        contenders.append(_vector_environment(name, loop))
+    sizes = [(size, n) for size in BATCH_SIZES for n in (counts if size > LANES else [1])]
+    contenders += [_batch(ArmParameters(), arms, signal, threads) for arms, threads in sizes]
+    settings: dict[str, Any] = {"control_period": CONTROL_PERIOD}
+    contenders.append(_environment(ENV_BARE, OctoArmEnv(**settings)))
+    contenders.append(_environment(ENV_MADE, gym.make("OctoArm-v0", **settings)))
+    mode: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    for envs, threads in sizes:
+        native = OctoArmVectorEnv(envs, **settings, **mode, threads=threads)
+        contenders.append(_vector_environment(vector_name(envs, threads), native))
+    # With its module, for processes that begin without what this one has imported.
+    make = [lambda: gym.make("octoarm_env:OctoArm-v0", **settings)]
+    contenders += [
+        _vector_environment(SYNC, SyncVectorEnv(make * SYNC_ENVS, **mode)),
+        _vector_environment(ASYNC, AsyncVectorEnv(make * ASYNC_ENVS, **mode)),
+    ]
     if has_mujoco():
-        contenders.append(_twin(dry))
+        twin, prepare = ringing_twin()
+        contenders.append(_contender(TWIN, prepare, twin.step, RUN_STEPS))
     return contenders
-
-
-LANES = 8
-"""Arms that share the lanes of vector instructions; more than these can share threads too."""
 
 
 def dry_body() -> ArmParameters:
@@ -192,8 +147,30 @@ def dry_body() -> ArmParameters:
     )
 
 
+def _contender(
+    name: str,
+    prepare: Callable[[], Any],
+    run: Callable[[int], Any],
+    limit: int,
+    *,
+    arms: int = 1,
+    physics_steps: int = 1,
+    close: Callable[[], Any] = lambda: None,
+) -> Contender:
+    """What makes so many steps of so many arms, each of so many physics steps."""
+    measure = fitted(FIGURE, 1e6 / (arms * physics_steps), timed(prepare, run), limit)
+    rates = {"times_real_time": 1e6 * TIMESTEP}
+    if physics_steps > 1:
+        rates["environment_steps_per_second"] = 1e6 / physics_steps
+    return Contender(name, measure, rates, close)
+
+
+def _signal() -> Float:
+    return LIMIT_CYCLES["quadratic"].signal(RUN_STEPS, _AMPLITUDE)
+
+
 def _arm_run(name: str, arm: Arm, signal: Float) -> Contender:
-    return Contender(name, arm.reset, lambda steps: arm.run(signal[:steps]), len(signal))
+    return _contender(name, arm.reset, lambda steps: arm.run(signal[:steps]), RUN_STEPS)
 
 
 def _arm_step(name: str, arm: Arm, signal: Float) -> Contender:
@@ -203,14 +180,13 @@ def _arm_step(name: str, arm: Arm, signal: Float) -> Contender:
         for theta, phi in angles[:steps]:
             arm.step(theta, phi)
 
-    return Contender(name, arm.reset, run, len(angles))
+    return _contender(name, arm.reset, run, RUN_STEPS)
 
 
-def batch(parameters: ArmParameters, arms: int, signal: Float, threads: int = 1) -> Contender:
+def _batch(parameters: ArmParameters, arms: int, signal: Float, threads: int = 1) -> Contender:
     """So many arms of one body, each a little ahead of the one before on the same signal."""
     made = ArmBatch([Arm(parameters)] * arms, threads=threads)
     states = made.states
-    dry = parameters.water_density == 0.0
     # As many lengths as an environment sees. A megabyte or two of them a call, if that are steps
     # enough: more is paid for in fresh pages of memory, not in physics.
     block = max(PHYSICS_STEPS, 32_000 // arms)
@@ -222,20 +198,16 @@ def batch(parameters: ArmParameters, arms: int, signal: Float, threads: int = 1)
         for begin in range(0, steps, block):
             made.run(signal[begin : min(begin + block, steps)], stride=PHYSICS_STEPS)
 
-    name = batch_name(arms, threads, dry=dry)
-    return Contender(name, restore, run, len(signal), arms=arms)
+    name = batch_name(arms, threads, dry=parameters.water_density == 0.0)
+    return _contender(name, restore, run, RUN_STEPS, arms=arms)
 
 
-def _twin(parameters: ArmParameters) -> Contender:
-    """The twin, its springs ringing after a pull; what it does has no influence on its time."""
-    twin = MujocoTwin(parameters)
+def ringing_twin() -> tuple[MujocoTwin, Callable[[], None]]:
+    """The twin, and what lets its springs ring after a pull; its time does not depend on that."""
+    twin = MujocoTwin(dry_body())
     coordinates, rates, base = twin.state
     coordinates[:, 1:3] += 0.02
-
-    def prepare() -> None:
-        twin.set_state(coordinates, rates, base)
-
-    return Contender(TWIN, prepare, twin.step, 20_000)
+    return twin, functools.partial(twin.set_state, coordinates, rates, base)
 
 
 def _environment(name: str, env: gym.Env[Any, Any]) -> Contender:
@@ -250,16 +222,23 @@ def _environment(name: str, env: gym.Env[Any, Any]) -> Contender:
         observation, _, terminated, _, _ = env.step(action)
         if terminated:
             raise RuntimeError(f"the teacher's episode of {name} ended after {len(actions)} steps")
+    return _contender(
+        name,
+        functools.partial(env.reset, options=options),
+        walk(env.step, actions),
+        EPISODE_STEPS,
+        physics_steps=PHYSICS_STEPS,
+    )
+
+
+def walk(step: Callable[[Any], Any], actions: Any) -> Callable[[int], None]:
+    """Give what makes so many steps, over and over with the same actions."""
 
     def run(steps: int) -> None:
-        step = env.step
-        for action in actions[:steps]:
-            step(action)
+        for index in range(steps):
+            step(actions[index % len(actions)])
 
-    def prepare() -> None:
-        env.reset(options=options)
-
-    return Contender(name, prepare, run, EPISODE_STEPS, physics_steps=PHYSICS_STEPS)
+    return run
 
 
 def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
@@ -267,16 +246,10 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (EPISODE_STEPS, envs.num_envs, 2)).astype(np.float32)
     envs.reset(seed=0)
-
-    def run(steps: int) -> None:
-        step = envs.step
-        for index in range(steps):
-            step(actions[index % EPISODE_STEPS])
-
-    return Contender(
+    return _contender(
         name,
         lambda: None,
-        run,
+        walk(envs.step, actions),
         100_000,
         arms=envs.num_envs,
         physics_steps=PHYSICS_STEPS,
@@ -285,34 +258,25 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
 
 
 def _elsewhere(instructions: str) -> Contender:
-    """The dry batch in a process that uses other vector instructions."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "octoarm_agents.benchmark.elsewhere"],
-        env=os.environ | {"OCTOARM_INSTRUCTION_SET": instructions},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        bufsize=1,
+    """The dry batch in a process that uses other vector instructions: a process chooses once."""
+    pool = ProcessPoolExecutor(
+        1,
+        multiprocessing.get_context("spawn"),
+        initializer=os.putenv,
+        initargs=("OCTOARM_INSTRUCTION_SET", instructions),
     )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    ask, answers = process.stdin, process.stdout
-
-    def tell(word: str) -> None:
-        ask.write(word + "\n")
-        if answers.readline().strip() != "done":
-            raise RuntimeError(f"the process that computes with {instructions} has failed")
-
-    def close() -> None:
-        # Not the end of its input: processes forked meanwhile hold that open.
-        tell("end")
-        process.communicate()
-
     return Contender(
         elsewhere_name(instructions),
-        lambda: tell("prepare"),
-        lambda steps: tell(str(steps)),
-        20_000,
-        arms=BATCH,
-        close=close,
+        lambda seconds: pool.submit(_measure_dry_batch, seconds).result(),
+        {"times_real_time": 1e6 * TIMESTEP},
+        pool.shutdown,
     )
+
+
+def _measure_dry_batch(seconds: float) -> dict[str, float]:
+    return _dry_batch().measure(seconds)
+
+
+@functools.cache
+def _dry_batch() -> Contender:
+    return _batch(dry_body(), BATCH, _signal())

@@ -31,8 +31,7 @@ rounding (within 2e-15 m over 300 steps of 1 ms).
 from __future__ import annotations
 
 import importlib
-import math
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -40,7 +39,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MujocoTwin", "TwinParameters"]
+    from octoarm_env import ArmParameters
+
+__all__ = ["MujocoTwin"]
 
 _DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
 """Unit vectors of the springs i = 1..4 in the frame of their plane."""
@@ -57,96 +58,34 @@ to the base, hence the size does no harm to the conditioning of the arm's own co
 """
 
 
-class TwinParameters(Protocol):
-    """The arm parameters that the twin reads; `octoarm_env.ArmParameters` has them all.
-
-    Read too where the object has them, zero otherwise: `plane_mass`, kg, and `plane_inertia`,
-    kg m², of every plane but the base (the inertia about x and y; twice that about z).
-    """
-
-    @property
-    def rest_length(self) -> float:
-        """Rest length l_0 of every longitudinal spring, m."""
-
-    @property
-    def base_radius(self) -> float:
-        """Radius of plane 0 (fixed), m."""
-
-    @property
-    def tip_radius(self) -> float:
-        """Rest radius of plane N, m; the planes between taper linearly."""
-
-    @property
-    def longitudinal_mass(self) -> float:
-        """Mass M_l of a longitudinal spring, kg."""
-
-    @property
-    def transverse_mass(self) -> float:
-        """Mass M_r of a transverse spring, kg."""
-
-    @property
-    def longitudinal_damping(self) -> float:
-        """Damping C_l of a longitudinal spring, N s/m."""
-
-    @property
-    def transverse_damping(self) -> float:
-        """Damping C_r of a transverse spring, N s/m."""
-
-    @property
-    def longitudinal_stiffness(self) -> float:
-        """Stiffness K_l of a longitudinal spring, N/m."""
-
-    @property
-    def transverse_stiffness(self) -> float:
-        """Stiffness K_r of a transverse spring, N/m."""
-
-    @property
-    def compartments(self) -> int:
-        """Number N of compartments."""
-
-    @property
-    def timestep(self) -> float:
-        """Time step of the Runge-Kutta method, s."""
-
-
 class MujocoTwin:
     """The arm without water, gravity and volume forces, stepped by MuJoCo (Runge-Kutta 4).
 
     It starts undeformed and at rest, with the base at θ = φ = 0.
 
-    The base is free but for its huge armature: it turns at the constant rates given to
-    `set_state`, or with the constant accelerations given to `set_base_acceleration`.
+    The base is free but for its huge armature, by which the arm's reaction torque (order 1 N m) is
+    divided: it turns at the constant rates given to `set_state`.
 
     Args:
-        parameters: the arm; any object with the attributes of `TwinParameters`.
-        base_armature: rotor inertia of the two base hinges, kg m². The arm's reaction torque
-            (order 1 N m) divided by it is the error of the base's acceleration, rad/s².
+        parameters: the arm.
 
     Raises:
         ImportError: MuJoCo is not installed.
         ValueError: a parameter leaves no arm to build.
     """
 
-    def __init__(self, parameters: TwinParameters, base_armature: float = _BASE_ARMATURE) -> None:
-        if not (base_armature > 0 and math.isfinite(base_armature)):
-            raise ValueError(f"base_armature must be positive and finite, got {base_armature}")
+    def __init__(self, parameters: ArmParameters) -> None:
         self._mujoco = _import_mujoco()
-        count = int(parameters.compartments)
-        if count < 1:
-            raise ValueError(f"compartments must be at least 1, got {parameters.compartments}")
-        self._compartments = count
-        self._base_armature = float(base_armature)
-        self._longitudinal_stiffness = float(parameters.longitudinal_stiffness)
-        self._transverse_stiffness = float(parameters.transverse_stiffness)
-        self._rest_length = float(parameters.rest_length)
+        self._compartments = parameters.compartments
+        self._parameters = parameters
 
         radii = _rest_radii(parameters)
         heights = _rest_heights(parameters, radii)
-        self._rest = np.zeros((count, 7))
+        self._rest = np.zeros((parameters.compartments, 7))
         self._rest[:, 0] = heights
         self._rest[:, 3:] = radii[1:, np.newaxis]
 
-        xml = _build_xml(parameters, radii, heights, self._base_armature)
+        xml = _build_xml(parameters, radii, heights)
         self._model: Any = self._mujoco.MjModel.from_xml_string(xml)
         self._data: Any = self._mujoco.MjData(self._model)
         self._set_masses(parameters)
@@ -164,7 +103,7 @@ class MujocoTwin:
         return self._data
 
     def set_state(self, coordinates: ArrayLike, rates: ArrayLike, base: ArrayLike) -> None:
-        """Put the arm into a state; the time becomes zero, the base's acceleration is kept.
+        """Put the arm into a state; the time becomes zero.
 
         Args:
             coordinates: shape (N, 7), each row h, α, β, r1, r2, r3, r4 in m and rad.
@@ -193,23 +132,6 @@ class MujocoTwin:
             self._data.qpos[2:].reshape(shape) + self._rest,
             self._data.qvel[2:].reshape(shape).copy(),
             np.concatenate((self._data.qpos[:2], self._data.qvel[:2])),
-        )
-
-    def set_base_acceleration(self, acceleration: ArrayLike) -> None:
-        """Let the base angles accelerate evenly from now on, by a torque on the huge armature.
-
-        Args:
-            acceleration: shape (2,), θ̈ and φ̈ in rad/s²; zeros for constant rates.
-
-        At the end of each step the angles lie on the parabola. Inside it they are integrated like
-        the rest: the second Runge-Kutta stage lags the parabola by acceleration · timestep² / 8,
-        the third leads by as much, and the effect of the two on the arm nearly cancels.
-
-        Raises:
-            ValueError: the shape is wrong or a number is not finite.
-        """
-        self._data.qfrc_applied[:2] = self._base_armature * _checked(
-            acceleration, "acceleration", (2,)
         )
 
     # ---------------------------------------------------------------- outputs
@@ -244,10 +166,10 @@ class MujocoTwin:
         spin = np.einsum("bij,bi->bj", axes, angular)
         kinetic = 0.5 * np.sum(self._model.body_mass[:, np.newaxis] * velocity**2)
         kinetic += 0.5 * np.sum(self._model.body_inertia * spin**2)
-        strain = self._measure() - self._rest_length
+        strain = self._measure() - self._parameters.rest_length
         radial = self._data.qpos[2:].reshape(-1, 7)[:, 3:]
-        elastic = 0.5 * self._longitudinal_stiffness * np.sum(strain**2)
-        elastic += 0.5 * self._transverse_stiffness * np.sum(radial**2)
+        elastic = 0.5 * self._parameters.longitudinal_stiffness * np.sum(strain**2)
+        elastic += 0.5 * self._parameters.transverse_stiffness * np.sum(radial**2)
         return float(kinetic), float(elastic)
 
     # --------------------------------------------------------------- stepping
@@ -282,19 +204,18 @@ class MujocoTwin:
 
     # ---------------------------------------------------------------- private
 
-    def _set_masses(self, parameters: TwinParameters) -> None:
+    def _set_masses(self, parameters: ArmParameters) -> None:
         """Replace the stand-ins: point masses at the joints, the planes as given, else nothing."""
         count = self._compartments
         bodies = {self._model.body(index).name: index for index in range(self._model.nbody)}
         self._planes = [bodies[f"plane_{j}"] for j in range(count + 1)]
         joints = [bodies[f"joint_{j}_{i}"] for j in range(1, count + 1) for i in range(1, 5)]
-        plane_inertia = float(getattr(parameters, "plane_inertia", 0.0))
         mass, inertia = self._model.body_mass, self._model.body_inertia
         mass[:] = 0.0
         inertia[:] = 0.0
         mass[joints] = parameters.longitudinal_mass + parameters.transverse_mass
-        mass[self._planes[1:]] = float(getattr(parameters, "plane_mass", 0.0))
-        inertia[self._planes[1:]] = np.multiply(plane_inertia, (1.0, 1.0, 2.0))
+        mass[self._planes[1:]] = parameters.plane_mass
+        inertia[self._planes[1:]] = np.multiply(parameters.plane_inertia, (1.0, 1.0, 2.0))
         self._mujoco.mj_setConst(self._model, self._data)
         self._mujoco.mj_resetData(self._model, self._data)
 
@@ -332,13 +253,13 @@ def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np
     return array
 
 
-def _rest_radii(parameters: TwinParameters) -> NDArray[np.float64]:
+def _rest_radii(parameters: ArmParameters) -> NDArray[np.float64]:
     """Rest radii of planes 0..N, shape (N+1,), m: a linear taper."""
     fraction = np.arange(parameters.compartments + 1) / parameters.compartments
     return parameters.base_radius + (parameters.tip_radius - parameters.base_radius) * fraction
 
 
-def _rest_heights(parameters: TwinParameters, radii: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rest_heights(parameters: ArmParameters, radii: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rest heights of the struts, shape (N,), m: those of unstretched longitudinal springs."""
     squares = parameters.rest_length**2 - np.diff(radii) ** 2
     if not (squares > 0).all():
@@ -356,10 +277,9 @@ def _numbers(*values: float) -> str:
 
 
 def _build_xml(
-    parameters: TwinParameters,
+    parameters: ArmParameters,
     radii: NDArray[np.float64],
     heights: NDArray[np.float64],
-    base_armature: float,
 ) -> str:
     """The MJCF model; every joint coordinate is zero in the undeformed arm."""
     element = ElementTree.SubElement
@@ -388,7 +308,7 @@ def _build_xml(
     plane = _add_body(element(root, "worldbody"), "plane_0", (0, 0, 0))
     for axis in ((1, 0, 0), (0, 1, 0)):
         joint = element(plane, "joint", type="hinge", axis=_numbers(*axis))
-        joint.set("armature", _numbers(base_armature))
+        joint.set("armature", _numbers(_BASE_ARMATURE))
     for i, axis in enumerate(_DIRECTIONS, 1):
         point = np.multiply(axis, radii[0])
         element(plane, "site", name=f"point_0_{i}", pos=_numbers(*point))

@@ -2,68 +2,35 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from octoarm_agents.cli.options import need_extra, number_between, output_folder
+from octoarm_agents.cli.options import Jobs, need_extra, number, processes, refused, result_folder
 
 __all__ = ["compare"]
 
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name.strip() for name in text.split(","))
+Out = Annotated[
+    Path, result_folder("compare.json, compare.md, the figures, and the agents in trained/")
+]
 
 
 def compare(
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="Folder for compare.json, compare.md, the figures, and the agents in trained/.",
-            callback=output_folder,
-        ),
-    ] = Path("out/compare"),
+    out: Out = Path("out/compare"),
     agents: Annotated[
-        str | None,
-        typer.Option(help="Some of the agents, with commas.", show_default="all nine"),
+        str | None, typer.Option(help="Some of the agents, with commas.", show_default="all nine")
     ] = None,
     targets: Annotated[
-        str | None,
-        typer.Option(help="Some of the targets, with commas.", show_default="all three"),
+        str | None, typer.Option(help="Some of the targets, with commas.", show_default="all three")
     ] = None,
-    seeds: Annotated[
-        int,
-        typer.Option(
-            help="Trainings of each agent on each target.", callback=number_between(1, 1000)
-        ),
-    ] = 5,
+    seeds: Annotated[int, number("Trainings of each agent on each target.", 1, 1000)] = 5,
     budget: Annotated[
-        float,
-        typer.Option(
-            help="Factor of the environment steps of all trainings.",
-            callback=number_between(1e-6, 1e6),
-        ),
+        float, number("Factor of the environment steps of all trainings.", 1e-6, 1e6)
     ] = 1.0,
-    episodes: Annotated[
-        int,
-        typer.Option(help="Episodes in each test.", callback=number_between(1, 4096)),
-    ] = 16,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="First seed of the tests' episodes.", callback=number_between(0, 2**31 - 1)
-        ),
-    ] = 10_000,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            help="Processes; only the timings depend on it.",
-            show_default="number of processors",
-            callback=number_between(1, 1024),
-        ),
-    ] = None,
+    episodes: Annotated[int, number("Episodes in each test.", 1, 4096)] = 16,
+    seed: Annotated[int, number("First seed of the tests' episodes.", 0, 2**31 - 1)] = 10_000,
+    jobs: Jobs = None,
 ) -> None:
     """Compare readouts, a searched linear policy, networks, and doing nothing.
 
@@ -79,31 +46,31 @@ def compare(
         import octoarm_agents.rl  # noqa: F401
     from octoarm_agents.common.environment import TARGETS
     from octoarm_agents.common.files import write_text
-    from octoarm_agents.comparison import AGENTS, Comparison, Protocol, draw_all
+    from octoarm_agents.comparison import AGENTS, Comparison, TestPlan, draw_all
     from octoarm_agents.comparison import compare as run
     from octoarm_agents.comparison.report import write_report
 
-    try:
+    with refused():
         comparison = Comparison(
             agents=_names(agents) or AGENTS,
             targets=_names(targets) or TARGETS,
             seeds=seeds,
             budget=budget,
-            protocol=Protocol(seed=seed, episodes=episodes),
-            jobs=jobs or os.cpu_count() or 1,
+            plan=TestPlan(seed=seed, episodes=episodes),
+            jobs=processes(jobs),
         )
         result = run(comparison, out)
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
     write_text(out / "compare.md", write_report(result))
     draw_all(result, out)
-    for target in result["settings"]["targets"]:
+    for target in comparison.targets:
         typer.echo(target)
         for row in result["rows"]:
             if row["target"] == target:
-                entry = row["return"]
-                typer.echo(
-                    f"  {row['agent']:14} {entry['iqm']:6.1f} of 500 "
-                    f"[{entry['low']:.1f}, {entry['high']:.1f}]"
-                )
+                earned = row["return"]
+                interval = f"[{earned['low']:.1f}, {earned['high']:.1f}]"
+                typer.echo(f"  {row['agent']:14} {earned['iqm']:6.1f} of 500 {interval}")
     typer.echo(f"Wrote compare.json, compare.md, the figures and trained/ into {out}.")
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(","))

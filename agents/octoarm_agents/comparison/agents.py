@@ -5,19 +5,26 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from octoarm_agents.common.environment import TARGETS
 from octoarm_agents.common.files import write_json
+from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
-from octoarm_agents.policies.evaluation import TRIVIAL
+from octoarm_agents.policies.evaluation import (
+    JUDGED_EPISODES,
+    JUDGING_SEED,
+    TRIVIAL,
+    evaluate_policy,
+)
+from octoarm_agents.reservoir import Readout, ReadoutPolicy, train_policy
+from octoarm_env import ArmParameters
 
-__all__ = ["AGENTS", "NETWORKS", "TRAINED", "TRIVIAL", "Cell", "make_agent"]
+__all__ = ["AGENTS", "NETWORKS", "READOUTS", "TRAINED", "TrainingRun", "make_agent", "train_all"]
 
 READOUTS = ("readout_pinv", "readout_ridge")
 NETWORKS = ("ppo", "sac", "tqc", "recurrent_ppo")
@@ -34,9 +41,11 @@ ACTION_NOISE = 0.01
 RIDGE_NOISE = 1e-8
 """ν of the ridge [m]: the fit allows for white noise in [-ν, ν] on the lengths."""
 
+_SLOW_FIRST = ("tqc", "sac", "recurrent_ppo", "ppo", "linear_search", *READOUTS)
+
 
 @dataclass(frozen=True)
-class Cell:
+class TrainingRun:
     """One training.
 
     Attributes:
@@ -88,7 +97,28 @@ class Cell:
         )
 
 
-def make_agent(cell: Cell, progress: Callable[[int, float], None] | None = None) -> dict[str, Any]:
+def train_all(
+    runs: list[TrainingRun], jobs: int, progress: bool | None
+) -> dict[TrainingRun, dict[str, Any]]:
+    """Make every agent, the slow ones first; give the summaries of their trainings."""
+    from joblib import Parallel, delayed
+
+    runs = sorted(runs, key=lambda run: _SLOW_FIRST.index(run.agent))
+    summaries: dict[TrainingRun, dict[str, Any]] = {}
+    with progress_bar(len(runs), "trainings", shown=progress) as bar:
+        work = Parallel(n_jobs=min(jobs, max(len(runs), 1)), return_as="generator_unordered")
+        for run, summary in work(delayed(_named)(run) for run in runs):
+            summaries[run] = summary
+            bar.set_postfix_str(f"{run.name}: {summary['best']['return']:.1f}")
+            bar.update()
+    return summaries
+
+
+def _named(run: TrainingRun) -> tuple[TrainingRun, dict[str, Any]]:
+    return run, make_agent(run)
+
+
+def make_agent(run: TrainingRun) -> dict[str, Any]:
     """Train an agent, or take what an earlier call has trained; in one thread.
 
     Returns:
@@ -101,52 +131,42 @@ def make_agent(cell: Cell, progress: Callable[[int, float], None] | None = None)
 
     # Sums split over threads are rounded otherwise.
     with threadpool_limits(1):
-        if cell.agent in NETWORKS:
-            return _train_network(cell, progress)
-        out = cell.folder / cell.name
-        wanted = _wanted(cell)
-        found = _finished(out / "training.json", wanted)
-        if found is not None:
-            return found
-        if cell.agent == "linear_search":
-            return search_linear(LinearSearch(**wanted), out, progress=progress)
-        return _teach_readout(cell, wanted)
+        return _train_network(run) if run.agent in NETWORKS else _find_linear(run)
 
 
-def _train_network(cell: Cell, progress: Callable[[int, float], None] | None) -> dict[str, Any]:
+def _train_network(run: TrainingRun) -> dict[str, Any]:
     from octoarm_agents.rl import Hyperparameters, Training, train
 
-    steps = max(round(cell.budget * Hyperparameters.load(cell.agent).steps), 1)
-    training = Training.make(cell.agent, cell.target, steps=steps, seed=cell.seed)
-    return train(
-        training,
-        cell.folder / cell.name,
-        resume=True,
-        progress=progress,
-        command=cell.command,
-    )
+    steps = max(round(run.budget * Hyperparameters.load(run.agent).steps), 1)
+    training = Training.make(run.agent, run.target, steps=steps, seed=run.seed)
+    return train(training, run.policy.parent, resume=True, command=run.command)
 
 
-def _wanted(cell: Cell) -> dict[str, Any]:
-    """The training of a cell as its ``training.json`` describes it."""
-    if cell.agent == "linear_search":
-        steps = max(round(cell.budget * LinearSearch(cell.target).steps), 1)
-        return vars(LinearSearch(cell.target, steps, cell.seed)).copy()
-    fit = {"method": "pinv"} if cell.agent == "readout_pinv" else {"noise": RIDGE_NOISE}
-    return {
-        "target": cell.target,
-        "steps": TEACHING_STEPS,
-        "seed": cell.seed,
-        "action_noise": ACTION_NOISE,
-        **fit,
+def _find_linear(run: TrainingRun) -> dict[str, Any]:
+    """A linear policy, fitted or searched, and its ``training.json``."""
+    search = LinearSearch(run.target, max(round(run.budget * LinearSearch.steps), 1), run.seed)
+    searching = run.agent == "linear_search"
+    wanted = asdict(search) if searching else _teaching(run)
+    file = run.policy.with_name("training.json")
+    if file.exists():
+        return _finished(file, wanted)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    made = search_linear(search, file.parent) if searching else _teach_readout(run)
+    versions = package_versions("octoarm-env", "octoarm-agents", "numpy", "scikit-learn", "cma")
+    summary = {
+        "training": wanted,
+        **made,
+        "final": made["curve"][-1],
+        "machine": describe_machine(),
+        "versions": versions,
     }
+    write_json(file, summary)
+    return summary
 
 
-def _finished(file: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
+def _finished(file: Path, wanted: dict[str, Any]) -> dict[str, Any]:
     try:
         summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
     except ValueError as error:
         raise ValueError(f"{file} is damaged: {error}") from None
     if summary.get("training") != wanted:
@@ -154,38 +174,45 @@ def _finished(file: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
     return summary
 
 
-def _teach_readout(cell: Cell, wanted: dict[str, Any]) -> dict[str, Any]:
-    from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED, evaluate_policy
-    from octoarm_agents.reservoir import Readout, train_policy
+def _teaching(run: TrainingRun) -> dict[str, Any]:
+    fit = {"method": "pinv"} if run.agent == "readout_pinv" else {"noise": RIDGE_NOISE}
+    teaching = {"steps": TEACHING_STEPS, "seed": run.seed, "action_noise": ACTION_NOISE}
+    return {"target": run.target, **teaching, **fit}
 
-    readout = (
-        Readout("pinv", bias=True)
-        if cell.agent == "readout_pinv"
-        else Readout("noise", noise=RIDGE_NOISE, bias=True)
-    )
+
+def _teach_readout(run: TrainingRun) -> dict[str, Any]:
     begun = time.perf_counter()
-    policy = train_policy(
-        {"target": cell.target, "max_episode_steps": TEACHING_STEPS},
-        steps=TEACHING_STEPS,
-        action_noise=ACTION_NOISE,
-        seed=cell.seed,
-        readout=readout,
-    )
+    noise = 0.0 if run.agent == "readout_pinv" else RIDGE_NOISE
+    policy = teach_readout(run.target, ACTION_NOISE, noise, run.seed)
     seconds = time.perf_counter() - begun
     judged = evaluate_policy(policy, policy, episodes=JUDGED_EPISODES, seed=JUDGING_SEED, threads=1)
+    policy.save(run.policy)
     point = {"steps": TEACHING_STEPS, "seconds": seconds, "return": judged["return"]}
-    cell.policy.parent.mkdir(parents=True, exist_ok=True)
-    policy.save(cell.policy)
-    summary = {
-        "training": wanted,
+    return {
         "environment": policy.settings,
         "curve": [point],
         "best": point,
-        "final": point,
         "seconds": seconds,
         "parameters": policy.parameter_count,
-        "machine": describe_machine(),
-        "versions": package_versions("octoarm-env", "octoarm-agents", "numpy", "scikit-learn"),
     }
-    write_json(cell.policy.parent / "training.json", summary)
-    return summary
+
+
+def teach_readout(
+    target: str, action_noise: float, noise: float, seed: int, arm: ArmParameters | None = None
+) -> ReadoutPolicy:
+    """Teach a readout for `TEACHING_STEPS`.
+
+    Args:
+        target: of the environment.
+        action_noise: κ, half width of the noise on the teacher's actions.
+        noise: ν of the ridge [m]; 0: pseudo-inverse.
+        seed: of the teaching.
+        arm: the body; None: the default.
+    """
+    return train_policy(
+        {"target": target, "max_episode_steps": TEACHING_STEPS, "arm": arm},
+        steps=TEACHING_STEPS,
+        action_noise=action_noise,
+        seed=seed,
+        readout=Readout("noise", noise=noise, bias=True) if noise else Readout("pinv", bias=True),
+    )

@@ -7,7 +7,6 @@ The same 2 · (80 + 1) weights as a readout with bias, but all that guides them 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,6 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from octoarm_agents.common.environment import inspect_env, make_vector_env
-from octoarm_agents.common.files import write_json
-from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import Network, Policy
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
@@ -64,22 +61,14 @@ class LinearSearch:
             raise ValueError(f"sigma = {self.sigma}: expected a positive number")
 
 
-def search_linear(
-    search: LinearSearch, out: Path, *, progress: Callable[[int, float], None] | None = None
-) -> dict[str, Any]:
-    """Search, and write ``best.npz`` and ``training.json`` as a training does.
-
-    Args:
-        search: what to search.
-        out: folder; made if it is not there.
-        progress: called after every generation with the steps done and the last evaluated return.
+def search_linear(search: LinearSearch, out: Path) -> dict[str, Any]:
+    """Search, and write ``best.npz`` into a folder, made if need be.
 
     Returns:
-        What ``training.json`` holds.
+        ``environment``, ``curve`` and ``best`` of it, ``seconds``, ``parameters``.
     """
     out.mkdir(parents=True, exist_ok=True)
-    env = OctoArmEnv(search.target)
-    parameters, settings = inspect_env(env)
+    parameters, settings = inspect_env(OctoArmEnv(search.target))
     judges = make_vector_env(JUDGED_EPISODES, parameters, settings, steps=500, threads=1)
     arms = OctoArmVectorEnv(
         search.population * search.episodes,
@@ -129,21 +118,13 @@ def search_linear(
         strategy.tell(candidates, losses.tolist())
         done += cost
         generation += 1
-        if progress is not None:
-            progress(done, curve[-1]["return"] if curve else float("nan"))
-    summary = {
-        "training": asdict(search),
+    return {
         "environment": settings,
         "curve": curve,
         "best": best,
-        "final": curve[-1],
         "seconds": seconds,
         "parameters": 2 * (springs + 1),
-        "machine": describe_machine(),
-        "versions": package_versions("octoarm-env", "octoarm-agents", "cma", "numpy"),
     }
-    write_json(out / "training.json", summary)
-    return summary
 
 
 def _scales(search: LinearSearch, arms: OctoArmVectorEnv) -> tuple[Float, Float, int]:

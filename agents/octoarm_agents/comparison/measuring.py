@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_fields
@@ -15,21 +14,19 @@ from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
-from octoarm_env import ArmParameters, OctoArmVectorEnv
+from octoarm_env import ArmParameters
 
 __all__ = [
     "BODIES",
     "BURSTS",
     "NOISES",
     "PUSHES",
-    "Protocol",
+    "AgentTest",
+    "TestPlan",
     "changed_body",
     "inference_time",
     "measure_agent",
-    "phase_portrait",
 ]
-
-Float = NDArray[np.float64]
 
 PUSHES = (5.0, 10.0, 20.0)
 """Sizes of the push of the base [degrees]; a quarter, a half, all of the amplitude."""
@@ -40,12 +37,15 @@ NOISES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 BURSTS = (1e-5, 1e-4, 1e-3)
 """The same, for a second only, after which the arm must find back."""
 
+_BURST = (100, 100)
+"""First step and number of steps of a burst; a push begins as late, and is a fifth as long."""
+
 BODIES = ((0.8, 0.8), (0.8, 1.2), (1.2, 0.8), (1.2, 1.2))
 """Factors of all stiffnesses and of all dampings of the changed bodies."""
 
 
 @dataclass(frozen=True)
-class Protocol:
+class TestPlan:
     """How much is measured.
 
     Attributes:
@@ -62,15 +62,10 @@ class Protocol:
     long_steps: int = 3000
     after: int = 800
 
+    __test__ = False  # for pytest, which collects classes of such names
+
     def __post_init__(self) -> None:
         whole_fields(self, seed=0, episodes=1, steps=1, long_steps=1, after=1)
-
-
-_BEGIN = 100
-"""Step at which a disturbance begins: after a second."""
-
-_PUSHED, _BURST = 20, 100
-"""Steps that a push and a burst of noise last."""
 
 
 def changed_body(body: ArmParameters, stiffness: float, damping: float) -> ArmParameters:
@@ -83,6 +78,80 @@ def changed_body(body: ArmParameters, stiffness: float, damping: float) -> ArmPa
     )
 
 
+class AgentTest:
+    """An agent on a body, always from the same episodes on.
+
+    Args:
+        policy: the agent.
+        body: its arms.
+        settings: of the environment.
+        plan: how much is measured.
+    """
+
+    def __init__(
+        self,
+        policy: PolicyPredictor | Trivial,
+        body: ArmParameters,
+        settings: dict[str, Any],
+        plan: TestPlan,
+    ) -> None:
+        self.policy, self.body, self.settings, self.plan = policy, body, settings, plan
+
+    def run(self, steps: int, push: Push | None = None, noise: Noise | None = None) -> Rollout:
+        """Let the agent act for so many control periods."""
+        envs = make_vector_env(self.plan.episodes, self.body, self.settings, steps=steps, threads=1)
+        self.orbit = np.array(envs.get_attr("orbit")[0])
+        self.amplitude = float(envs.get_attr("amplitude")[0])
+        self.period = float(envs.get_attr("period")[0])
+        try:
+            return roll_out(
+                acting(self.policy, envs),
+                envs,
+                seed=self.plan.seed,
+                steps=steps,
+                push=push,
+                noise=noise,
+            )
+        finally:
+            envs.close()
+
+    def measures(
+        self, steps: int | None = None, window: int | None = None, noise: Noise | None = None
+    ) -> dict[str, float | None]:
+        """`tracking_measures` of the whole, `orbit_measures` of the last steps.
+
+        Args:
+            steps: control periods; None: the plan's.
+            window: last steps that count; None: the second half.
+            noise: disturbs what the agent sees.
+        """
+        steps = steps or self.plan.steps
+        rollout = self.run(steps, noise=noise)
+        orbit = orbit_measures(
+            rollout,
+            self.orbit,
+            amplitude=self.amplitude,
+            period=self.period,
+            control_period=self.settings["control_period"],
+            window=max(window or steps // 2, 1),
+        )
+        return {**orbit, **tracking_measures(rollout)}
+
+    def recovery(
+        self, push: Push | None = None, noise: Noise | None = None
+    ) -> dict[str, float | None]:
+        """`recovery` after a push or a burst of noise."""
+        disturbance = push or noise
+        assert disturbance is not None
+        assert disturbance.steps is not None
+        end = disturbance.begin + disturbance.steps
+        rollout = self.run(end + self.plan.after, push, noise)
+        control_period = self.settings["control_period"]
+        return recovery(
+            rollout, self.orbit, amplitude=self.amplitude, control_period=control_period, end=end
+        )
+
+
 def measure_agent(
     parameters: ArmParameters,
     *,
@@ -90,7 +159,7 @@ def measure_agent(
     settings: dict[str, Any],
     policy: str | None,
     digest: str | None,
-    protocol: dict[str, Any],
+    plan: dict[str, Any],
 ) -> dict[str, Any]:
     """Measure an agent; a trial for `run_trials`.
 
@@ -100,14 +169,14 @@ def measure_agent(
         settings: of the environment.
         policy: its file.
         digest: of that file, so that stored results are those of this very policy.
-        protocol: arguments of `Protocol`.
+        plan: arguments of `TestPlan`.
 
     Returns:
         Plain numbers: ``return``, ``tracking_error``, ``orbit_distance``, ``period``, ``held``,
         ``survival``, and for every size or body ``pushes``, ``bursts``, ``noises``, ``bodies``.
     """
     del digest
-    given = Protocol(**protocol)
+    given = TestPlan(**plan)
     chosen: PolicyPredictor | Trivial
     if policy is not None:
         chosen = load_policy(policy, settings=settings)
@@ -115,114 +184,32 @@ def measure_agent(
         chosen = agent
     else:
         raise ValueError(f"agent = {agent!r} needs the file of its policy")
-    test = _Test(chosen, parameters, settings, given)
-    standard = test.run(given.steps)
-    tracking = tracking_measures(standard)
-    long = orbit_measures(
-        test.run(given.long_steps),
-        test.orbit,
-        amplitude=test.amplitude,
-        period=test.period,
-        control_period=settings["control_period"],
-        window=max(given.long_steps // 3, 1),
-    )
-    bodies = []
+    test = AgentTest(chosen, parameters, settings, given)
+    standard = test.measures()
+    long = test.measures(given.long_steps, given.long_steps // 3)
+    bodies: list[dict[str, Any]] = []
     for stiffness, damping in BODIES:
-        other = _Test(chosen, changed_body(parameters, stiffness, damping), settings, given)
-        rollout = other.run(given.steps)
-        bodies.append(
-            {
-                "stiffness": stiffness,
-                "damping": damping,
-                "return": tracking_measures(rollout)["return"],
-                **other.settled(rollout),
-            }
-        )
-    noises = []
+        body = changed_body(parameters, stiffness, damping)
+        found = AgentTest(chosen, body, settings, given).measures()
+        kept = {name: found[name] for name in ("return", "orbit_distance", "period")}
+        bodies.append({"stiffness": stiffness, "damping": damping, **kept})
+    noises: list[dict[str, Any]] = []
     for size in NOISES:
-        rollout = test.run(given.steps, noise=Noise(size))
-        noises.append(
-            {
-                "size": size,
-                "return": tracking_measures(rollout)["return"],
-                "orbit_distance": test.settled(rollout)["orbit_distance"],
-            }
-        )
+        found = test.measures(noise=Noise(size))
+        kept = {name: found[name] for name in ("return", "orbit_distance")}
+        noises.append({"size": size, **kept})
     return {
-        **tracking,
-        **{name: long[name] for name in ("orbit_distance", "period", "held", "survival")},
-        "returns": standard.returns.tolist(),
-        "pushes": [
-            {"size": size, **test.recovery(Push(size, _BEGIN, _PUSHED), None)} for size in PUSHES
-        ],
-        "bursts": [
-            {"size": size, **test.recovery(None, Noise(size, _BEGIN, _BURST))} for size in BURSTS
-        ],
+        "return": standard["return"],
+        "tracking_error": standard["tracking_error"],
+        "orbit_distance": long["orbit_distance"],
+        "period": long["period"],
+        "held": long["held"],
+        "survival": long["survival"],
+        "pushes": [{"size": size, **test.recovery(push=Push(size))} for size in PUSHES],
+        "bursts": [{"size": size, **test.recovery(noise=Noise(size, *_BURST))} for size in BURSTS],
         "noises": noises,
         "bodies": bodies,
     }
-
-
-class _Test:
-    """An agent on a body."""
-
-    def __init__(
-        self,
-        policy: PolicyPredictor | Trivial,
-        parameters: ArmParameters,
-        settings: dict[str, Any],
-        protocol: Protocol,
-    ) -> None:
-        self.policy = policy
-        self.parameters = parameters
-        self.settings = settings
-        self.protocol = protocol
-        envs = self._envs(1)
-        self.orbit = np.array(envs.get_attr("orbit")[0])
-        self.amplitude = float(envs.get_attr("amplitude")[0])
-        self.period = float(envs.get_attr("period")[0])
-        envs.close()
-
-    def _envs(self, steps: int) -> OctoArmVectorEnv:
-        return make_vector_env(
-            self.protocol.episodes, self.parameters, self.settings, steps=steps, threads=1
-        )
-
-    def run(self, steps: int, *, push: Push | None = None, noise: Noise | None = None) -> Rollout:
-        envs = self._envs(steps)
-        try:
-            return roll_out(
-                acting(self.policy, envs),
-                envs,
-                seed=self.protocol.seed,
-                steps=steps,
-                push=push,
-                noise=noise,
-            )
-        finally:
-            envs.close()
-
-    def recovery(self, push: Push | None, noise: Noise | None) -> dict[str, float | None]:
-        end = _BEGIN + (_PUSHED if push is not None else _BURST)
-        return recovery(
-            self.run(end + self.protocol.after, push=push, noise=noise),
-            self.orbit,
-            amplitude=self.amplitude,
-            control_period=self.settings["control_period"],
-            end=end,
-        )
-
-    def settled(self, rollout: Rollout) -> dict[str, float | None]:
-        """Distance from the orbit, in amplitudes, and period, over the second half."""
-        found = orbit_measures(
-            rollout,
-            self.orbit,
-            amplitude=self.amplitude,
-            period=self.period,
-            control_period=self.settings["control_period"],
-            window=max(len(rollout.rewards) // 2, 1),
-        )
-        return {name: found[name] for name in ("orbit_distance", "period")}
 
 
 def inference_time(policy: PolicyPredictor, springs: int, *, calls: int = 2000) -> float:
@@ -234,19 +221,3 @@ def inference_time(policy: PolicyPredictor, springs: int, *, calls: int = 2000) 
         _, state = policy.predict(lengths, state=state, deterministic=True)
         times[index] = time.perf_counter() - begun
     return float(1e6 * np.median(times))
-
-
-def phase_portrait(
-    policy: PolicyPredictor | Trivial,
-    parameters: ArmParameters,
-    settings: dict[str, Any],
-    *,
-    seed: int,
-    steps: int,
-) -> Float:
-    """Base angles of one episode, (steps, 2) [degrees]."""
-    envs = make_vector_env(1, parameters, settings, steps=steps, threads=1)
-    try:
-        return roll_out(acting(policy, envs), envs, seed=seed, steps=steps).angles[:, 0]
-    finally:
-        envs.close()

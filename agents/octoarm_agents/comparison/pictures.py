@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from octoarm_agents.common.files import write_atomically
 from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
@@ -20,23 +23,27 @@ from octoarm_agents.common.plotting import (
     SKY,
     VERMILLION,
     new_figure,
+    save_figure,
 )
 from octoarm_env import LIMIT_CYCLES
 
-__all__ = ["PICTURES"]
+__all__ = ["draw_all"]
 
-_COLOURS = {
-    "readout_pinv": SKY,
-    "readout_ridge": BLUE,
-    "linear_search": ORANGE,
-    "ppo": VERMILLION,
-    "sac": GREEN,
-    "tqc": PURPLE,
-    "recurrent_ppo": "#8C510A",
-    "hold": GREY,
-    "clock": BLACK,
+Row = Mapping[str, Any]
+
+_LOOKS = {
+    "readout_pinv": (SKY, "o"),
+    "readout_ridge": (BLUE, "s"),
+    "linear_search": (ORANGE, "v"),
+    "ppo": (VERMILLION, "^"),
+    "sac": (GREEN, "D"),
+    "tqc": (PURPLE, "<"),
+    "recurrent_ppo": ("#8C510A", ">"),
+    "hold": (GREY, "x"),
+    "clock": (BLACK, "P"),
 }
-_MARKERS = dict(zip(_COLOURS, "osv^D<>xP", strict=True))
+"""Colour and marker of every agent."""
+
 _TITLES = {
     "quadratic": "quadratic cycle",
     "van_der_pol": "Van der Pol cycle",
@@ -46,197 +53,166 @@ _TITLES = {
 _LARGEST = 500.0
 
 
-def draw_curves(result: Mapping[str, Any]) -> Figure:
+def draw_all(result: Mapping[str, Any], out: Path) -> None:
+    """Draw the figures of a comparison, what ``compare.json`` holds, into a folder.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    rows = {
+        target: [row for row in result["rows"] if row["target"] == target]
+        for target in result["settings"]["targets"]
+    }
+    for name, figure in (
+        ("learning_curves", _draw_curves(rows, result["settings"]["teaching_steps"])),
+        ("returns", _draw_returns(rows)),
+        ("robustness", _draw_robustness(rows)),
+        ("phase_portraits", _draw_portraits(rows, result["environment"])),
+    ):
+        write_atomically(out / f"{name}.png", functools.partial(save_figure, figure))
+
+
+def _draw_curves(rows: Mapping[str, Sequence[Row]], teaching_steps: int) -> Figure:
     """Return over environment steps, with what a readout needs and earns."""
-    targets = result["settings"]["targets"]
-    figure = new_figure(4.2 * len(targets), 3.9)
-    panels = figure.subplots(1, len(targets), sharey=True, squeeze=False)[0]
-    for axes, target in zip(panels, targets, strict=True):
-        rows = [row for row in result["rows"] if row["target"] == target]
-        readouts = [row for row in rows if row["agent"].startswith("readout")]
+    figure = new_figure(4.2 * len(rows), 3.9)
+    panels = figure.subplots(1, len(rows), sharey=True, squeeze=False)[0]
+    for axes, (target, own) in zip(panels, rows.items(), strict=True):
+        readouts = [row["return"]["iqm"] for row in own if row["agent"].startswith("readout")]
         if readouts:
-            axes.axvline(result["settings"]["teaching_steps"], color=BLUE, linestyle=":")
-            best = max(row["return"]["iqm"] for row in readouts)
-            axes.axhline(best, color=BLUE, linestyle=":")
-        for row in rows:
+            axes.axvline(teaching_steps, color=BLUE, linestyle=":")
+            axes.axhline(max(readouts), color=BLUE, linestyle=":")
+        for row in own:
             if row["curves"]:
                 _draw_curve(axes, row)
         axes.set(xscale="log", title=_TITLES[target], xlabel="environment steps", ylim=(-15, 510))
         _plain(axes)
     panels[0].set_ylabel("return of 500, judging seeds")
+    trained = {row["agent"] for own in rows.values() for row in own if row["curves"]}
     handles = [
-        Line2D([], [], color=_COLOURS[agent], label=agent)
-        for agent in _COLOURS
-        if any(row["agent"] == agent and row["curves"] for row in result["rows"])
+        Line2D([], [], color=colour, label=agent)
+        for agent, (colour, _) in _LOOKS.items()
+        if agent in trained
     ]
     handles.append(
         Line2D([], [], color=BLUE, linestyle=":", label="readouts: their samples, their return")
     )
-    figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=6 if len(targets) > 1 else 2,
-        fontsize=8,
-        frameon=False,
-    )
+    _legend(figure, handles, 6 if len(rows) > 1 else 2)
     return figure
 
 
-def _draw_curve(axes: Axes, row: Mapping[str, Any]) -> None:
+def _draw_curve(axes: Axes, row: Row) -> None:
     """Median over trainings, and the band from the worst to the best."""
     count = min(len(curve) for curve in row["curves"])
-    steps = np.median([[p["steps"] for p in curve[:count]] for curve in row["curves"]], axis=0)
-    returns = np.array([[p["return"] for p in curve[:count]] for curve in row["curves"]])
-    colour = _COLOURS[row["agent"]]
+    steps, returns = (
+        np.array([[point[key] for point in curve[:count]] for curve in row["curves"]])
+        for key in ("steps", "return")
+    )
+    steps, (colour, _) = np.median(steps, axis=0), _LOOKS[row["agent"]]
     axes.fill_between(steps, returns.min(axis=0), returns.max(axis=0), color=colour, alpha=0.15)
     axes.plot(steps, np.median(returns, axis=0), color=colour, linewidth=1.5)
 
 
-def draw_returns(result: Mapping[str, Any]) -> Figure:
+def _draw_returns(rows: Mapping[str, Sequence[Row]]) -> Figure:
     """What is missing to the largest return: interquartile means, intervals, single trainings."""
-    targets = result["settings"]["targets"]
-    figure = new_figure(4.2 * len(targets), 3.6)
-    panels = figure.subplots(1, len(targets), sharey=True, sharex=True, squeeze=False)[0]
-    for axes, target in zip(panels, targets, strict=True):
-        rows = [row for row in result["rows"] if row["target"] == target]
-        names = [row["agent"] for row in rows]
-        for place, row in enumerate(rows):
-            entry, colour = row["return"], _COLOURS[row["agent"]]
+    figure = new_figure(4.2 * len(rows), 3.6)
+    panels = figure.subplots(1, len(rows), sharey=True, sharex=True, squeeze=False)[0]
+    for axes, (target, own) in zip(panels, rows.items(), strict=True):
+        for place, row in enumerate(own):
+            entry, (colour, marker) = row["return"], _LOOKS[row["agent"]]
             missing = [_LARGEST - value for value in entry["values"]]
             axes.plot(missing, [place] * len(missing), ".", color=colour, alpha=0.4, markersize=5)
             ends = [_LARGEST - entry["high"], _LARGEST - entry["low"]]
             axes.plot(ends, [place, place], color=colour, linewidth=2)
-            axes.plot(_LARGEST - entry["iqm"], place, _MARKERS[row["agent"]], color=colour)
+            axes.plot(_LARGEST - entry["iqm"], place, marker, color=colour)
         axes.set(xscale="log", title=_TITLES[target], xlabel="return missing to 500")
-        axes.set_yticks(range(len(names)), names)
+        axes.set_yticks(range(len(own)), [row["agent"] for row in own])
         axes.grid(axis="x", alpha=0.3)
         _plain(axes)
     panels[0].invert_yaxis()
     return figure
 
 
-def draw_robustness(result: Mapping[str, Any]) -> Figure:
+def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
     """Return over noise, recovery over pushes, distance on other bodies; with intervals."""
-    targets = result["settings"]["targets"]
-    figure = new_figure(4.2 * len(targets), 9.4)
-    panels = figure.subplots(3, len(targets), sharey="row", squeeze=False)
-    for column, target in enumerate(targets):
-        rows = [row for row in result["rows"] if row["target"] == target]
-        shifts = np.linspace(-1, 1, len(rows))
-        for shift, row in zip(shifts, rows, strict=True):
-            noises, pushes = row["noises"], row["pushes"]
-            sizes = np.array([each["size"] for each in noises]) * 1e6
-            _draw_line(
-                panels[0, column], row, sizes * 1.06**shift, [each["return"] for each in noises]
-            )
-            _draw_line(
-                panels[1, column],
-                row,
-                np.array([each["size"] for each in pushes]) * 1.03**shift,
-                [each["recovered"] for each in pushes],
-            )
+    figure = new_figure(4.2 * len(rows), 9.4)
+    panels = figure.subplots(3, len(rows), sharey="row", squeeze=False)
+    for column, (target, own) in enumerate(rows.items()):
+        noisy, pushed, other = panels[:, column]
+        noises, pushes = ([each["size"] for each in own[0][name]] for name in ("noises", "pushes"))
+        for shift, row in zip(np.linspace(-1, 1, len(own)), own, strict=True):
             bodies = [*row["bodies"], row["transfer"]]
-            _draw_line(
-                panels[2, column],
-                row,
-                np.arange(len(bodies)) + 0.25 * shift,
-                [each["orbit_distance"] for each in bodies],
-                line="",
-            )
-        panels[0, column].set(xscale="log", xlabel="noise on the lengths (µm)")
-        panels[0, column].set_title(_TITLES[target], fontsize=10)
-        panels[1, column].set(xscale="log", xlabel="push of the base (degrees)")
-        panels[1, column].set_xticks(sizes_of(rows), [f"{size:g}" for size in sizes_of(rows)])
-        panels[1, column].minorticks_off()
-        names = [f"{k:g}, {d:g}" for k, d in result["settings"]["bodies"]]
-        panels[2, column].set_xticks(range(len(names) + 1), [*names, "mean"])
-        panels[2, column].set_xlabel("stiffness, damping (factors)")
-        for axes in panels[:, column]:
+            for axes, places, entries, figure_of in (
+                (noisy, np.array(noises) * 1e6 * 1.06**shift, row["noises"], "return"),
+                (pushed, np.array(pushes) * 1.03**shift, row["pushes"], "recovered"),
+                (other, np.arange(len(bodies)) + 0.25 * shift, bodies, "orbit_distance"),
+            ):
+                _draw_line(axes, row["agent"], places, [each[figure_of] for each in entries])
+        for line in other.get_lines():
+            line.set_linestyle("")
+        noisy.set(xscale="log", xlabel="noise on the lengths (µm)")
+        noisy.set_title(_TITLES[target], fontsize=10)
+        pushed.set(xscale="log", xlabel="push of the base (degrees)")
+        pushed.set_xticks(pushes, [f"{size:g}" for size in pushes])
+        pushed.minorticks_off()
+        names = [f"{each['stiffness']:g}, {each['damping']:g}" for each in own[0]["bodies"]]
+        other.set_xticks(range(len(names) + 1), [*names, "mean"])
+        other.set_xlabel("stiffness, damping (factors)")
+        for axes in (noisy, pushed, other):
             _plain(axes)
-    for axes, label in zip(
-        panels[:, 0],
-        ("return of 500", "share back on the orbit", "distance from the orbit, in amplitudes"),
-        strict=True,
-    ):
-        axes.set_ylabel(label)
-    _legend(figure, result)
+    panels[0, 0].set_ylabel("return of 500")
+    panels[1, 0].set_ylabel("share back on the orbit")
+    panels[2, 0].set_ylabel("distance from the orbit, in amplitudes")
+    present = {row["agent"] for own in rows.values() for row in own}
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=5, label=agent)
+        for agent, (colour, marker) in _LOOKS.items()
+        if agent in present
+    ]
+    _legend(figure, handles, 5 if len(rows) > 1 else 3)
     return figure
 
 
-def sizes_of(rows: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Sizes of the pushes."""
-    return [each["size"] for each in rows[0]["pushes"]]
-
-
 def _draw_line(
-    axes: Axes,
-    row: Mapping[str, Any],
-    places: Any,
-    entries: Sequence[Mapping[str, float | None]],
-    line: str = "-",
+    axes: Axes, agent: str, places: Any, entries: Sequence[Mapping[str, float | None]]
 ) -> None:
     # What did not happen (None) is not drawn.
     middle, low, high = (
         np.array([each[key] for each in entries], dtype=np.float64)
         for key in ("iqm", "low", "high")
     )
-    reach = [middle - low, high - middle]
-    axes.errorbar(
-        places,
-        middle,
-        np.maximum(reach, 0),
-        color=_COLOURS[row["agent"]],
-        marker=_MARKERS[row["agent"]],
-        markersize=4,
-        linewidth=1,
-        linestyle=line,
-    )
+    reach = np.maximum([middle - low, high - middle], 0)
+    colour, marker = _LOOKS[agent]
+    axes.errorbar(places, middle, reach, color=colour, marker=marker, markersize=4, linewidth=1)
 
 
-def draw_portraits(result: Mapping[str, Any]) -> Figure:
+def _draw_portraits(
+    rows: Mapping[str, Sequence[Row]], environment: Mapping[str, Mapping[str, Any]]
+) -> Figure:
     """The base's angles over the target orbit, two seconds at the end of an episode."""
-    targets, agents = result["settings"]["targets"], []
-    for row in result["rows"]:
-        if row["agent"] not in agents:
-            agents.append(row["agent"])
-    figure = new_figure(1.6 * len(agents) + 0.6, 1.75 * len(targets) + 0.3)
-    panels = figure.subplots(len(targets), len(agents), sharex=True, sharey=True, squeeze=False)
-    for line, target in enumerate(targets):
-        amplitude = result["environment"][target]["amplitude"]
+    agents = len(next(iter(rows.values())))
+    figure = new_figure(1.6 * agents + 0.6, 1.75 * len(rows) + 0.3)
+    panels = figure.subplots(len(rows), agents, sharex=True, sharey=True, squeeze=False)
+    for line, (target, own) in zip(panels, rows.items(), strict=True):
+        amplitude = environment[target]["amplitude"]
         orbit = LIMIT_CYCLES[target].orbit(amplitude)
-        for axes, agent in zip(panels[line], agents, strict=True):
+        reach = 1.3 * amplitude
+        for axes, row in zip(line, own, strict=True):
             axes.plot(*np.vstack((orbit, orbit[:1])).T, color=BLACK, linewidth=4, alpha=0.15)
-            row = next(
-                each
-                for each in result["rows"]
-                if (each["agent"], each["target"]) == (agent, target)
-            )
-            axes.plot(*np.array(row["portrait"]).T, color=_COLOURS[agent], linewidth=0.9)
+            axes.plot(*np.array(row["portrait"]).T, color=_LOOKS[row["agent"]][0], linewidth=0.9)
             axes.set_aspect("equal")
-            reach = 1.3 * amplitude
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-            if line == 0:
-                axes.set_title(agent, fontsize=9)
             axes.tick_params(labelsize=7)
-        panels[line, 0].set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
+        line[0].set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
+    for axes, row in zip(panels[0], next(iter(rows.values())), strict=True):
+        axes.set_title(row["agent"], fontsize=9)
     for axes in panels[-1]:
         axes.set_xlabel("θ (degrees)", fontsize=8)
     return figure
 
 
-def _legend(figure: Figure, result: Mapping[str, Any]) -> None:
-    present = {row["agent"] for row in result["rows"]}
-    handles = [
-        Line2D([], [], color=colour, marker=_MARKERS[agent], markersize=5, label=agent)
-        for agent, colour in _COLOURS.items()
-        if agent in present
-    ]
+def _legend(figure: Figure, handles: Sequence[Line2D], columns: int) -> None:
     figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=5 if len(result["settings"]["targets"]) > 1 else 3,
-        fontsize=8,
-        frameon=False,
+        handles=handles, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
     )
 
 
@@ -244,12 +220,3 @@ def _plain(axes: Axes) -> None:
     axes.tick_params(labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
     axes.title.set_fontsize(10)
-
-
-PICTURES = {
-    "learning_curves": draw_curves,
-    "returns": draw_returns,
-    "robustness": draw_robustness,
-    "phase_portraits": draw_portraits,
-}
-"""Names of the PNG files, and what draws them from what ``compare.json`` holds."""

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
-from octoarm_agents.policies.evaluation import evaluate_policy
-from octoarm_agents.policies.measures import recovery
-from octoarm_agents.policies.rollout import Noise, Push, roll_out
+from octoarm_agents.comparison.agents import teach_readout
+from octoarm_agents.comparison.measuring import NOISES, PUSHES, AgentTest, TestPlan
+from octoarm_agents.policies.rollout import Noise, Push
 from octoarm_env import ArmParameters
 
-__all__ = ["ACTION_NOISES", "RIDGE_NOISES", "map_readout"]
+__all__ = ["map_readout", "map_settings"]
 
-ACTION_NOISES = (0.01, 0.05, 0.1)
+_ACTION_NOISES = (0.01, 0.05, 0.1)
 """κ, half widths of the noise on the teacher's actions."""
 
-RIDGE_NOISES = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
+_RIDGE_NOISES = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
 """ν, half widths of the noise on the lengths that the fit allows for [m]; 0: pseudo-inverse."""
+
+
+def map_settings(targets: Sequence[str]) -> list[dict[str, Any]]:
+    """Give all points of the map: ``target``, ``action_noise``, ``noise``."""
+    points = itertools.product(targets, _ACTION_NOISES, _RIDGE_NOISES)
+    return [dict(zip(("target", "action_noise", "noise"), point, strict=True)) for point in points]
 
 
 def map_readout(
@@ -24,11 +32,8 @@ def map_readout(
     target: str,
     action_noise: float,
     noise: float,
-    steps: int,
     seed: int,
-    episodes: int,
-    noises: list[float],
-    push: float,
+    plan: dict[str, Any],
 ) -> dict[str, Any]:
     """Teach a readout and measure it; a trial for `run_trials`.
 
@@ -37,46 +42,20 @@ def map_readout(
         target: of the environment.
         action_noise: κ.
         noise: ν [m].
-        steps: control periods of teaching.
         seed: of the teaching.
-        episodes: of each test, on the comparison's seeds.
-        noises: half widths of the noise on what the readout sees [m].
-        push: size of the push [degrees].
+        plan: arguments of `TestPlan`.
 
     Returns:
-        ``return``, ``held`` (over 30 s), ``noises``: a return for each, ``recovered`` after the
-        push.
+        ``return``, ``held`` (over 30 s), ``recovered`` after a push of half the amplitude, and
+        ``noises``: for every size the ``return``.
     """
-    import numpy as np
-
-    from octoarm_agents.common.environment import make_vector_env
-    from octoarm_agents.reservoir import Readout, train_policy
-
-    readout = Readout("noise", noise=noise, bias=True) if noise else Readout("pinv", bias=True)
-    policy = train_policy(
-        {"target": target, "max_episode_steps": steps, "arm": parameters},
-        steps=steps,
-        action_noise=action_noise,
-        seed=seed,
-        readout=readout,
-    )
-    common: dict[str, Any] = {"episodes": episodes, "threads": 1}
-    plain = evaluate_policy(policy, policy, **common)
-    long = evaluate_policy(policy, policy, steps=3000, **common)
-    envs = make_vector_env(episodes, parameters, policy.settings, steps=920, threads=1)
-    pushed = recovery(
-        roll_out(policy, envs, seed=10_000, steps=920, push=Push(push)),
-        np.array(envs.get_attr("orbit")[0]),
-        amplitude=envs.get_attr("amplitude")[0],
-        control_period=policy.settings["control_period"],
-        end=120,
-    )
+    policy = teach_readout(target, action_noise, noise, seed, parameters)
+    test = AgentTest(policy, parameters, policy.settings, TestPlan(**plan))
     return {
-        "return": plain["return"],
-        "held": long["held"],
+        "return": test.measures()["return"],
+        "held": test.measures(test.plan.long_steps)["held"],
+        "recovered": test.recovery(push=Push(PUSHES[1]))["recovered"],
         "noises": [
-            evaluate_policy(policy, policy, noise=Noise(size), **common)["return"]
-            for size in noises
+            {"size": size, "return": test.measures(noise=Noise(size))["return"]} for size in NOISES
         ],
-        "recovered": pushed["recovered"],
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 __all__ = ["write_report"]
@@ -13,18 +13,45 @@ Row = Mapping[str, Any]
 def write_report(result: Mapping[str, Any]) -> str:
     """Give the text of ``compare.md``."""
     settings = result["settings"]
-    protocol = settings["protocol"]
+    plan = settings["plan"]
     lines = [
         "# Comparison of agents",
         "",
         f"Made by `{result['command']}`. Interquartile means over {settings['seeds']} trainings "
         "with 95 % bootstrap intervals; every training is measured over "
-        f"{protocol['episodes']} episodes with seeds from {protocol['seed']} on, which none was "
+        f"{plan['episodes']} episodes with seeds from {plan['seed']} on, which none was "
         "trained or chosen on. `hold` and `clock` are not trained, and so have no interval. "
         "Distances from the orbit are in amplitudes, periods in periods of the target; ∞ stands "
         "for what did not happen in enough episodes.",
         "",
     ]
+    back = "share of episodes back on the orbit for good, and after how many seconds"
+    disturbed: tuple[tuple[str, Sequence[str], str, Callable[[Row], str]], ...] = (
+        (
+            "White noise on the lengths that the agent sees, all the time: return",
+            [f"{size * 1e6:g} µm" for size in settings["noises"]],
+            "noises",
+            lambda each: _interval(each["return"], 1),
+        ),
+        (
+            f"A push of the base for 0.2 s: {back}",
+            [f"{size:g}°" for size in settings["pushes"]],
+            "pushes",
+            _recovery,
+        ),
+        (
+            f"The same noise for 1 s only: {back}",
+            [f"{size * 1e6:g} µm" for size in settings["bursts"]],
+            "bursts",
+            _recovery,
+        ),
+        (
+            "On bodies with other stiffness and damping (factors): return, orbit distance, period",
+            [*(f"{k:g}, {d:g}" for k, d in settings["bodies"]), "mean"],
+            "bodies",
+            _body,
+        ),
+    )
     for target in settings["targets"]:
         rows = [row for row in result["rows"] if row["target"] == target]
         lines += [f"## {target}", "", "Undisturbed, and what it cost:", ""]
@@ -45,36 +72,16 @@ def write_report(result: Mapping[str, Any]) -> str:
             ),
             [_undisturbed(row) for row in rows],
         )
-        lines += ["", "White noise on the lengths that the agent sees, all the time: return", ""]
-        lines += _table(
-            ("agent", *(f"{size * 1e6:g} µm" for size in settings["noises"])),
-            [
-                [row["agent"], *(_interval(each["return"], 1) for each in row["noises"])]
-                for row in rows
-            ],
-        )
-        lines += ["", _recovery_title("A push of the base for 0.2 s"), ""]
-        lines += _table(
-            ("agent", *(f"{size:g}°" for size in settings["pushes"])),
-            [[row["agent"], *(_recovery(each) for each in row["pushes"])] for row in rows],
-        )
-        lines += ["", _recovery_title("The same noise for 1 s only"), ""]
-        lines += _table(
-            ("agent", *(f"{size * 1e6:g} µm" for size in settings["bursts"])),
-            [[row["agent"], *(_recovery(each) for each in row["bursts"])] for row in rows],
-        )
-        lines += [
-            "",
-            "On bodies with other stiffness and damping (factors): return, orbit distance, period",
-            "",
-        ]
-        lines += _table(
-            ("agent", *(f"{k:g}, {d:g}" for k, d in settings["bodies"]), "mean"),
-            [
-                [row["agent"], *(_body(each) for each in row["bodies"]), _body(row["transfer"])]
-                for row in rows
-            ],
-        )
+        for title, header, name, write in disturbed:
+            more = ["transfer"] if name == "bodies" else []
+            lines += ["", title, ""]
+            lines += _table(
+                ("agent", *header),
+                [
+                    [row["agent"], *map(write, [*row[name], *(row[each] for each in more)])]
+                    for row in rows
+                ],
+            )
         lines.append("")
     if result["readout_map"]:
         lines += _readout_map(result)
@@ -98,10 +105,6 @@ def _undisturbed(row: Row) -> list[str]:
         f"{row['parameters']:,}",
         f"{row['inference_us']:.1f}",
     ]
-
-
-def _recovery_title(what: str) -> str:
-    return f"{what}: share of episodes back on the orbit for good, and after how many seconds"
 
 
 def _recovery(entry: Row) -> str:
@@ -137,7 +140,7 @@ def _readout_map(result: Mapping[str, Any]) -> list[str]:
             f"{entry['noise'] * 1e6:g}",
             _number(entry["return"]["iqm"], 1),
             f"{entry['held']['iqm']:.0%}",
-            *(_number(each["iqm"], 1) for each in entry["noises"]),
+            *(_number(each["return"]["iqm"], 1) for each in entry["noises"]),
             f"{entry['recovered']['iqm']:.0%}",
         ]
         for entry in result["readout_map"]
