@@ -6,7 +6,7 @@ A command's own numbers are written ``Annotated[int, number("Rows left out.", 0,
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,7 +25,6 @@ __all__ = [
     "EpisodeSteps",
     "Jobs",
     "NoiseSize",
-    "OtherArm",
     "OtherBody",
     "PushSize",
     "Seed",
@@ -33,7 +32,6 @@ __all__ = [
     "TargetArgument",
     "need_extra",
     "number",
-    "number_between",
     "output_file",
     "output_folder",
     "processes",
@@ -47,17 +45,8 @@ __all__ = [
 def number(help: str, low: float, high: float, unit: str = "", *names: str, **more: Any) -> Any:
     """Give an option of a number between `low` and `high`, both allowed.
 
-    `names` and `more`, `show_default` mostly, are as in `typer.Option`.
-    """
-    return typer.Option(*names, help=help, callback=number_between(low, high, unit), **more)
-
-
-def number_between(
-    low: float, high: float, unit: str = ""
-) -> Callable[[float | None], float | None]:
-    """A callback for an option: its number must lie between `low` and `high`, both allowed.
-
-    NaN is refused; None, an option not given, is let through.
+    NaN is refused; None, an option not given, is let through. `names` and `more`, `show_default`
+    mostly, are as in `typer.Option`.
     """
 
     def check(value: float | None) -> float | None:
@@ -68,7 +57,7 @@ def number_between(
             )
         return value
 
-    return check
+    return typer.Option(*names, help=help, callback=check, **more)
 
 
 def result_folder(content: str, **more: Any) -> Any:
@@ -165,7 +154,6 @@ Body = Annotated[Path | None, typer.Option("--arm", help=_BODY, show_default="th
 OtherBody = Annotated[
     Path | None, typer.Option("--arm", help=_BODY, show_default="the agent's own body")
 ]
-OtherArm = OtherBody
 Actuator = Annotated[
     Literal["direct", "servo"],
     typer.Option(
