@@ -64,11 +64,6 @@ def test_every_command_gives_its_help(encoding: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("encoding", "arguments", "shown"),
     [
-        (
-            "cp1252",
-            ("demo", "--steps", "12000", "--out", "demo"),
-            "cycle, direct base, R = 90°, ? =",
-        ),
         ("cp1252", ("record", "hold/quadratic", "--steps", "10", "--out", "α.png"), "Wrote ?.png"),
         ("ascii", ("evaluate", "hold/quadratic", "--episodes", "1", "--steps", "20"), "error (?)"),
         (
@@ -77,7 +72,7 @@ def test_every_command_gives_its_help(encoding: str, tmp_path: Path) -> None:
             "Wrote a",
         ),
     ],
-    ids=["demo", "record", "evaluate", "analyse"],
+    ids=["record", "evaluate", "analyse"],
 )
 def test_work_is_not_lost_at_its_end(
     encoding: str, arguments: tuple[str, ...], shown: str, tmp_path: Path

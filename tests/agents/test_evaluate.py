@@ -78,10 +78,10 @@ def test_unknown_agents_are_answered_with_all_that_are_known(
 
 def test_files_of_agents(octoarm: Any, tmp_path: Path) -> None:
     """A file of one's own is as good as the name of an agent that comes along."""
-    own = tmp_path / "mine.json"
+    own = tmp_path / "mine.npz"
     load_trained("readout_pinv", "lissajous").save(own)  # type: ignore[attr-defined]
     found = rows(octoarm, tmp_path / "a.json", "readout_pinv/lissajous", own)
     assert found[1] == found[0] | {"agent": str(own)}
-    done = octoarm("evaluate", "no-such-agent.json")
+    done = octoarm("evaluate", "no-such-agent.npz")
     assert done.exit_code == 2
-    assert "cannot read no-such-agent.json" in done.stderr
+    assert "cannot read no-such-agent.npz" in done.stderr

@@ -450,7 +450,7 @@ class TestFiles:
             start_new_session=True,
         )
         try:
-            while not list(tmp_path.glob(".film*.mp4")) and process.poll() is None:
+            while not list(tmp_path.glob(".film-*")) and process.poll() is None:
                 time.sleep(0.02)
             # As a terminal does: to the command and what it has started.
             os.killpg(process.pid, getattr(signal, name))

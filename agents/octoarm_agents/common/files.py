@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
+import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,28 +15,24 @@ __all__ = ["atomic_file", "write_atomically", "write_json", "write_text"]
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Give a temporary file beside `path`; it takes that name when the block has ended well.
+    """Give a file in a hidden folder beside `path`; it takes that name if the block ends well.
+
+    A process that the block has started cannot bring the file back once the folder is gone.
 
     Raises:
         OSError: the folder cannot be written to.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    folder = path.with_name(f".{path.stem}-{secrets.token_hex(4)}")
     try:
-        yield temporary
-        # mkstemp makes files private; give a result the mode of any other new file.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+        folder.mkdir()
+        yield folder / path.name
+        (folder / path.name).replace(path)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a temporary file beside `path`, then give it its name.
+    """Let `write` fill a hidden file, then give it its name.
 
     Raises:
         OSError: the folder cannot be written to.
