@@ -162,7 +162,9 @@ Actuator = Annotated[
 ]
 Target = Annotated[
     Literal["quadratic", "van_der_pol", "lissajous"],
-    typer.Option(help="Limit cycle (Eqs. 28, 27, 29)."),
+    typer.Option(
+        metavar="NAME", help="Limit cycle: quadratic, van_der_pol or lissajous (Eqs. 28, 27, 29)."
+    ),
 ]
 TargetArgument = Annotated[
     Literal["quadratic", "van_der_pol", "lissajous"],
