@@ -72,16 +72,12 @@ def run_trials(
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
     files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]
-    results: dict[int, dict[str, Any]] = {}
-    if not fresh:
-        for index, file in enumerate(files):
-            stored = _read(file, fingerprints[index])
-            if stored is not None:
-                results[index] = stored
+    stored = [] if fresh else map(_read, files, fingerprints)
+    results = {index: result for index, result in enumerate(stored) if result is not None}
     missing = [
-        (index, settings[index], files[index], fingerprints[index])
-        for index in range(len(settings))
-        if index not in results
+        each
+        for each in enumerate(zip(settings, files, fingerprints, strict=True))
+        if each[0] not in results
     ]
     if record is None:
         shares = [slice(index, index + 1) for index in range(len(missing))]
@@ -117,7 +113,7 @@ def _run_share(
     function: Trial,
     parameters: ArmParameters,
     record: Record | None,
-    share: Sequence[tuple[int, Settings, Path, dict[str, Any]]],
+    share: Sequence[tuple[int, tuple[Settings, Path, dict[str, Any]]]],
 ) -> dict[int, dict[str, Any]]:
     """Some trials, in the process that computes them: what is finished is stored at once."""
     from threadpoolctl import threadpool_limits
@@ -127,9 +123,9 @@ def _run_share(
     with threadpool_limits(1):
         known: list[dict[str, Any]] = [{} for _ in share]
         if record is not None:
-            recordings = record(parameters, [settings for _, settings, _, _ in share])
+            recordings = record(parameters, [settings for _, (settings, _, _) in share])
             known = [{"recording": recording} for recording in recordings]
-        for (index, settings, file, fingerprint), more in zip(share, known, strict=True):
+        for (index, (settings, file, fingerprint)), more in zip(share, known, strict=True):
             result = function(parameters, **settings, **more)
             write_json(file, {"fingerprint": fingerprint, "result": result})
             # As a later run would read it.

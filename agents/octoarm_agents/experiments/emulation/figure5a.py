@@ -119,7 +119,7 @@ def check_features(
         True or False for each feature.
     """
     errors = np.array([medians[task] for task in TASKS], dtype=np.float64)
-    known = ~np.isnan(errors).any(axis=0)
+    known: NDArray[np.bool_] = ~np.isnan(errors).any(axis=0)
     second, tenth, volterra = errors = errors[:, known]
     left = np.array(ranges)[known]
     if len(left) < 2:

@@ -102,7 +102,8 @@ def _trial(measure: Callable[..., dict[str, Any]]) -> Trial:
         drive = Drive.make(kind, seed, trial)
         if recording is None:
             (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
-        lengths, failure = recording, None
+        lengths: Recording | None = recording
+        failure = None
         if isinstance(recording, DomainError):
             lengths, failure = None, describe_domain_error(recording)
         result = {"trial": trial, "initial_steps": drive.initial, "failure": failure}
