@@ -71,7 +71,8 @@ def run_trials(
     jobs = whole_number("jobs", jobs, 1)
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
-    files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]
+    texts = [json.dumps(each, sort_keys=True).encode() for each in fingerprints]
+    files = [folder / f"{hashlib.sha256(text).hexdigest()[:24]}.json" for text in texts]
     stored = [] if fresh else map(_read, files, fingerprints)
     results = {index: result for index, result in enumerate(stored) if result is not None}
     missing = [
@@ -147,11 +148,6 @@ def _fingerprint(function: Trial, parameters: ArmParameters, settings: Settings)
     # Tuples become lists, as in the file that this is compared with.
     compared: dict[str, Any] = json.loads(json.dumps(fingerprint, allow_nan=False))
     return compared
-
-
-def _digest(fingerprint: dict[str, Any]) -> str:
-    text = json.dumps(fingerprint, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:

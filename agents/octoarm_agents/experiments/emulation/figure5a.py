@@ -84,25 +84,22 @@ def _collect(
     Returns:
         ``points``, one an R, and ``confirmed``, which is None where there is but one R.
     """
-    ranges = list(by_range)
-    points = [_point(amplitude, trials, level) for amplitude, trials in by_range.items()]
+    points = []
+    for amplitude, trials in by_range.items():
+        finished = [trial for trial in trials if trial["failure"] is None]
+        tasks = {}
+        for task in TASKS:
+            errors = [
+                (trial["arm"] if level is None else trial["sensor_noise"][level])["test"][task]
+                for trial in finished
+            ]
+            quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
+            tasks[task] = summarise(errors) | dict(zip(_QUARTILES, quartiles, strict=True))
+        failures = list_failures(trials)
+        points.append({"range_deg": amplitude, "failures": failures, "tasks": tasks})
     medians = {task: [point["tasks"][task]["median"] for point in points] for task in TASKS}
-    confirmed = check_features(ranges, medians) if len(ranges) > 1 else None
+    confirmed = check_features(list(by_range), medians) if len(by_range) > 1 else None
     return {"points": points, "confirmed": confirmed}
-
-
-def _point(
-    amplitude: float, trials: Sequence[Mapping[str, Any]], level: int | None
-) -> dict[str, Any]:
-    """What the trials at one R gave."""
-    finished = [trial for trial in trials if trial["failure"] is None]
-    scores = [trial["arm"] if level is None else trial["sensor_noise"][level] for trial in finished]
-    tasks = {}
-    for task in TASKS:
-        errors = [each["test"][task] for each in scores]
-        quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
-        tasks[task] = summarise(errors) | dict(zip(_QUARTILES, quartiles, strict=True))
-    return {"range_deg": amplitude, "failures": list_failures(trials), "tasks": tasks}
 
 
 def check_features(
@@ -119,7 +116,7 @@ def check_features(
         True or False for each feature.
     """
     errors = np.array([medians[task] for task in TASKS], dtype=np.float64)
-    known: NDArray[np.bool_] = ~np.isnan(errors).any(axis=0)
+    known = ~np.isnan(errors).any(axis=0)
     second, tenth, volterra = errors = errors[:, known]
     left = np.array(ranges)[known]
     if len(left) < 2:
@@ -127,7 +124,7 @@ def check_features(
     complete, lowest = len(left) == len(ranges), int(volterra.argmin())
     turns = (second[1:-1] > second[:-2]) & (second[1:-1] > second[2:])
     return {
-        "highest_at_smallest_range": bool(known[0] and (errors[:, :1] >= errors).all()),
+        "highest_at_smallest_range": bool(left[0] == ranges[0] and (errors[:, :1] >= errors).all()),
         "second_order_local_maximum_near_45": bool(
             (np.abs(left[1:-1][turns] - 45) <= AROUND).any()
         ),
