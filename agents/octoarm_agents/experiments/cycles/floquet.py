@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from operator import itemgetter
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -138,10 +137,10 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
         for entry in entries:
             if entry["failure"] is not None:
                 notes.append(f"R = {entry['amplitude_deg']:g}°: {entry['failure']['message']}.")
-            # By factor, and within by ν, as they were tried.
-            for first in range(0, len(entry["loops"]), len(noises)):
-                loops = sorted(entry["loops"][first : first + len(noises)], key=itemgetter("noise"))
-                rows.append((_weighting(entry, loops[0]["factor"]), *map(_exponents, loops)))
+            for factor in dict.fromkeys(loop["factor"] for loop in entry["loops"]):
+                loops = [loop for loop in entry["loops"] if loop["factor"] == factor]
+                cells = {loop["noise"]: _exponents(loop) for loop in loops}
+                rows.append((_weighting(entry, factor), *(cells[noise] for noise in noises)))
         columns = ("R, weighting", *(f"ν = {noise:.0e}" for noise in noises))
         title = (
             f"{CYCLE_LABELS[target]}: leading two exponents (1/s) by ν (m),"

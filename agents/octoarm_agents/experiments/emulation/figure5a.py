@@ -84,7 +84,7 @@ def _collect(
     Returns:
         ``points``, one an R, and ``confirmed``, which is None where there is but one R.
     """
-    points = []
+    points: list[dict[str, Any]] = []
     for amplitude, trials in by_range.items():
         finished = [trial for trial in trials if trial["failure"] is None]
         tasks = {}
