@@ -66,5 +66,5 @@ def phase_shift(before: Float, after: Float, between: int) -> float | None:
     first, last = upward_crossings(before), upward_crossings(after)
     if not len(last) or not math.isfinite(turn):
         return None
-    turns = (between + float(last[0] - first[0])) / turn
+    turns = (between + float(last[0]) - float(first[0])) / turn
     return turns - round(turns)
