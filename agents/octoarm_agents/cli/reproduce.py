@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 ALL = "all"
 OWN = "the experiment's own"
 
+_AMPLITUDE = "R: largest angle of the base in degrees, where the experiment has one."
+_STEPS = "Physics steps in closed loop, where the experiment lets go of the arm."
+
 
 def _check_name(name: str) -> str:
     if name != ALL and name not in EXPERIMENTS:
@@ -47,25 +50,9 @@ def reproduce(
     jobs: Jobs = None,
     amplitude: Annotated[
         float | None,
-        number(
-            "R: largest angle of the base in degrees, where the experiment has one.",
-            0.1,
-            360.0,
-            "degrees",
-            "--amplitude",
-            "-R",
-            show_default=OWN,
-        ),
+        number(_AMPLITUDE, 0.1, 360.0, "degrees", "--amplitude", "-R", show_default=OWN),
     ] = None,
-    steps: Annotated[
-        int | None,
-        number(
-            "Physics steps in closed loop, where the experiment lets go of the arm.",
-            10_000,
-            100_000_000,
-            show_default=OWN,
-        ),
-    ] = None,
+    steps: Annotated[int | None, number(_STEPS, 10_000, 100_000_000, show_default=OWN)] = None,
     arm: Body = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Compute every trial anew, even if it is stored.")
@@ -85,16 +72,7 @@ def reproduce(
     parameters = read_body(arm)
     with refused("--arm"):
         Arm(parameters)  # It has a static equilibrium.
-    settings = RunSettings(
-        out=out,
-        trials=trials,
-        seed=seed,
-        jobs=processes(jobs),
-        amplitude=amplitude,
-        steps=steps,
-        parameters=parameters,
-        fresh=fresh,
-    )
+    settings = RunSettings(out, trials, seed, processes(jobs), amplitude, steps, parameters, fresh)
     console = Console()
     for each in EXPERIMENTS if name == ALL else (name,):
         experiment = load_experiment(each)

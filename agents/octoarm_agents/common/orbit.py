@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["is_held", "orbit_distance", "steps_to_return", "turn_time"]
+__all__ = ["is_held", "orbit_distance", "steps_to_return", "turn_time", "upward_crossings"]
 
 Float = NDArray[np.float64]
 
@@ -60,6 +60,13 @@ def _chord_distance(points: Float, begins: Float, ends: Float) -> Float:
     return distances
 
 
+def upward_crossings(signal: Float) -> Float:
+    """Where a signal (T,) crosses zero upward, interpolated [samples]."""
+    ups = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
+    crossings: Float = ups - signal[ups] / (signal[ups + 1] - signal[ups])
+    return crossings
+
+
 def turn_time(signal: Float) -> float:
     """Mean time of a turn: samples between upward zero crossings, interpolated.
 
@@ -69,10 +76,9 @@ def turn_time(signal: Float) -> float:
     Returns:
         Samples a turn; NaN if the signal crosses zero upward fewer than twice.
     """
-    ups = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    if len(ups) < 2:
+    crossings = upward_crossings(signal)
+    if len(crossings) < 2:
         return float("nan")
-    crossings = ups - signal[ups] / (signal[ups + 1] - signal[ups])
     return float(crossings[-1] - crossings[0]) / (len(crossings) - 1)
 
 

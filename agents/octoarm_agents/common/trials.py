@@ -71,17 +71,14 @@ def run_trials(
     jobs = whole_number("jobs", jobs, 1)
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
-    files = [folder / f"{_digest(fingerprint)}.json" for fingerprint in fingerprints]
-    results: dict[int, dict[str, Any]] = {}
-    if not fresh:
-        for index, file in enumerate(files):
-            stored = _read(file, fingerprints[index])
-            if stored is not None:
-                results[index] = stored
+    texts = [json.dumps(each, sort_keys=True).encode() for each in fingerprints]
+    files = [folder / f"{hashlib.sha256(text).hexdigest()[:24]}.json" for text in texts]
+    stored = [] if fresh else map(_read, files, fingerprints)
+    results = {index: result for index, result in enumerate(stored) if result is not None}
     missing = [
-        (index, settings[index], files[index], fingerprints[index])
-        for index in range(len(settings))
-        if index not in results
+        each
+        for each in enumerate(zip(settings, files, fingerprints, strict=True))
+        if each[0] not in results
     ]
     if record is None:
         shares = [slice(index, index + 1) for index in range(len(missing))]
@@ -117,7 +114,7 @@ def _run_share(
     function: Trial,
     parameters: ArmParameters,
     record: Record | None,
-    share: Sequence[tuple[int, Settings, Path, dict[str, Any]]],
+    share: Sequence[tuple[int, tuple[Settings, Path, dict[str, Any]]]],
 ) -> dict[int, dict[str, Any]]:
     """Some trials, in the process that computes them: what is finished is stored at once."""
     from threadpoolctl import threadpool_limits
@@ -127,9 +124,9 @@ def _run_share(
     with threadpool_limits(1):
         known: list[dict[str, Any]] = [{} for _ in share]
         if record is not None:
-            recordings = record(parameters, [settings for _, settings, _, _ in share])
+            recordings = record(parameters, [settings for _, (settings, _, _) in share])
             known = [{"recording": recording} for recording in recordings]
-        for (index, settings, file, fingerprint), more in zip(share, known, strict=True):
+        for (index, (settings, file, fingerprint)), more in zip(share, known, strict=True):
             result = function(parameters, **settings, **more)
             write_json(file, {"fingerprint": fingerprint, "result": result})
             # As a later run would read it.
@@ -151,11 +148,6 @@ def _fingerprint(function: Trial, parameters: ArmParameters, settings: Settings)
     # Tuples become lists, as in the file that this is compared with.
     compared: dict[str, Any] = json.loads(json.dumps(fingerprint, allow_nan=False))
     return compared
-
-
-def _digest(fingerprint: dict[str, Any]) -> str:
-    text = json.dumps(fingerprint, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:

@@ -51,7 +51,6 @@ class RunSettings:
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
-        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
         fresh: compute every trial anew, even if it is stored.
     """
 
@@ -62,7 +61,6 @@ class RunSettings:
     amplitude: float | None = None
     steps: int | None = None
     parameters: ArmParameters = field(default_factory=ArmParameters)
-    progress: bool | None = None
     fresh: bool = False
 
     def __post_init__(self) -> None:
@@ -94,7 +92,6 @@ class RunSettings:
             folder=self.out / f".{name}-trials",
             jobs=self.jobs,
             fresh=self.fresh,
-            progress=self.progress,
             description=name,
         )
 
@@ -165,13 +162,7 @@ class Experiment:
 
 
 def load_experiment(name: str) -> Experiment:
-    """Give the experiment of that name.
-
-    Raises:
-        ValueError: there is none.
-    """
-    if name not in EXPERIMENTS:
-        raise ValueError(f"no experiment {name!r}: expected one of {', '.join(EXPERIMENTS)}")
+    """Give the experiment of that name, one of `EXPERIMENTS`."""
     module = import_module(f"octoarm_agents.experiments.{EXPERIMENTS[name].module}")
     experiment: Experiment = getattr(module, name.replace("-", "_").upper())
     return experiment

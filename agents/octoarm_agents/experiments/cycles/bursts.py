@@ -103,7 +103,12 @@ def draw(result: Mapping[str, Any]) -> Figure:
             panels += [left, right]
             burst = entry["bursts"][row] if entry["bursts"] else None
             failure = entry["teaching_failure"] if burst is None else burst["shown"]["failure"]
-            left.set_title(_title(training, burst), fontsize=9)
+            title = f"{training} training"
+            if burst is not None:
+                title += (
+                    f", ε = {burst['burst_deg']:.3g}°: {burst['recovered_fraction']:.0%} recovered"
+                )
+            left.set_title(title, fontsize=9)
             if burst is None or (failure is not None and failure["step"] < BURST_BEGIN):
                 say_missing(left, failure)
                 say_missing(right, failure)
@@ -123,13 +128,6 @@ def draw(result: Mapping[str, Any]) -> Figure:
         figure, burst=True, more=[(ORANGE, "noise and way back"), (BLACK, "end of the run")]
     )
     return figure
-
-
-def _title(training: str, burst: Mapping[str, Any] | None) -> str:
-    if burst is None:
-        return f"{training} training"
-    fraction = burst["recovered_fraction"]
-    return f"{training} training, ε = {burst['burst_deg']:.3g}°: {fraction:.0%} recovered"
 
 
 FIGURE9 = Experiment("figure9", TRIALS, functools.partial(run, "quadratic"), tables, draw)

@@ -22,7 +22,6 @@ from octoarm_agents.common.plotting import (
 from octoarm_agents.experiments.cycles.plots import draw_outputs, draw_portrait, explain_outputs
 from octoarm_agents.experiments.cycles.taught import (
     FOLDER,
-    TaughtCycle,
     count_outcomes,
     disturb_cycles,
     fraction_recovered,
@@ -70,8 +69,15 @@ def run(settings: RunSettings) -> dict[str, Any]:
                 }
             )
             if lost and example is None:
-                shown = _show(settings, cycles[lost[0] % len(cycles)], burst, lost[0])
-                example = {"training": training} | shown
+                cycle = cycles[lost[0] % len(cycles)]
+                more = {"burst": burst, "seed": settings.seed, "trial": lost[0], "series": True}
+                (again,) = settings.run(FOLDER, disturb_cycle, [cycle.settings | more])
+                shown = ("burst_deg", "trial", "failure", "series")
+                example = {
+                    "training": training,
+                    "amplitude_deg": cycle.teaching.amplitude,
+                    **{name: again[name] for name in shown},
+                }
     return {
         "target": TARGET,
         "trials": settings.trials,
@@ -79,16 +85,6 @@ def run(settings: RunSettings) -> dict[str, Any]:
         "trainings": trainings,
         "example": example,
         "paper": PAPER,
-    }
-
-
-def _show(settings: RunSettings, cycle: TaughtCycle, burst: float, trial: int) -> dict[str, Any]:
-    """One trial again, with its outputs."""
-    more = {"burst": burst, "seed": settings.seed, "trial": trial, "series": True}
-    (shown,) = settings.run(FOLDER, disturb_cycle, [cycle.settings | more])
-    return {
-        "amplitude_deg": cycle.teaching.amplitude,
-        **{name: shown[name] for name in ("burst_deg", "trial", "failure", "series")},
     }
 
 

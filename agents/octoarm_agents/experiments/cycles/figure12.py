@@ -22,7 +22,7 @@ from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, observation_table
 from octoarm_agents.reservoir.cycles import CYCLE_LABELS, TRAININGS
 
-__all__ = ["FIGURE12", "by_compartment", "describe_weights"]
+__all__ = ["FIGURE12", "describe_weights"]
 
 Float = NDArray[np.float64]
 
@@ -103,18 +103,13 @@ def describe_weights(weights: Float) -> dict[str, Any]:
         ``weights`` (N rows of four), ``correlation_of_pairs`` of springs 1, 2 with springs 3, 4,
         and ``part_near_base``, what compartments 1 to 6 have of the sum of squares.
     """
-    table = by_compartment(weights)
+    table = weights.reshape(-1, 4)
     squares = np.square(table).sum(axis=1)
     return {
         "weights": table.tolist(),
         "correlation_of_pairs": _correlation(table[:, :2].ravel(), table[:, 2:].ravel()),
         "part_near_base": float(squares[:BASE_COMPARTMENTS].sum() / squares.sum()),
     }
-
-
-def by_compartment(values: Float) -> Float:
-    """Values of springs, (4 N,), as a row (4,) each compartment."""
-    return values.reshape(-1, 4)
 
 
 def _correlation(first: Float, second: Float) -> float:

@@ -22,7 +22,6 @@ from octoarm_agents.common.plotting import (
     new_figure,
     write_letters,
 )
-from octoarm_agents.experiments.cycles.figure12 import by_compartment
 from octoarm_agents.experiments.cycles.taught import FOLDER, TaughtCycle, teach_cycles
 from octoarm_agents.experiments.cycles.trials import NUDGED_STEPS, nudge_cycle
 from octoarm_agents.experiments.plots import (
@@ -71,12 +70,7 @@ def run(settings: RunSettings) -> dict[str, Any]:
     points = [[cycle.settings | {"nudges": NUDGES} for cycle in each] for each in ready.values()]
     trials = dict(zip(ready, settings.repeat(FOLDER, nudge_cycle, points), strict=True))
     entries = {
-        target: cycles[0].describe()
-        | (
-            _describe(cycles, trials[target])
-            if target in ready
-            else {"failure": cycles[0].failure, "nudges": [], "dw": []}
-        )
+        target: cycles[0].describe() | _describe(cycles, trials.get(target, []))
         for target, cycles in taught.items()
     }
     return {
@@ -90,26 +84,22 @@ def run(settings: RunSettings) -> dict[str, Any]:
 
 def _describe(cycles: Sequence[TaughtCycle], trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Means over trials, and dw of every readout."""
+    if cycles[0].failure is not None:
+        return {"failure": cycles[0].failure, "nudges": [], "dw": []}
     failed = [trial["failure"] for trial in trials if trial["failure"] is not None]
-    nudges = []
+    nudges: list[dict[str, Any]] = []
     for index, nudge in enumerate(() if failed else NUDGES):
         results = [trial["results"][index] for trial in trials]
         values = np.array(
             [(*e["outputs"], e["springs"]) for e in results if e["springs"] is not None]
         )
-        none = dict.fromkeys(MEASURES)
-        nudges.append(
-            {
-                "nudge_deg": nudge,
-                "failed_trials": len(results) - len(values),
-                "mean": dict(zip(MEASURES, values.mean(axis=0).tolist(), strict=True))
-                if len(values)
-                else none,
-                "sd": dict(zip(MEASURES, values.std(axis=0, ddof=1).tolist(), strict=True))
-                if len(values) > 1
-                else none,
-            }
-        )
+        failures = {"nudge_deg": nudge, "failed_trials": len(results) - len(values)}
+        nudges.append(failures | dict.fromkeys(("mean", "sd"), dict.fromkeys(MEASURES)))
+        if len(values):
+            nudges[-1]["mean"] = dict(zip(MEASURES, values.mean(axis=0).tolist(), strict=True))
+        if len(values) > 1:
+            sd = values.std(axis=0, ddof=1).tolist()
+            nudges[-1]["sd"] = dict(zip(MEASURES, sd, strict=True))
     return {
         "failure": failed[0] if failed else None,
         "nudges": nudges,
@@ -131,7 +121,7 @@ def describe_sizes(weights: Any) -> dict[str, Any]:
     """
     from scipy.stats import spearmanr
 
-    sizes = by_compartment(np.hypot(weights[:, 0], weights[:, 1]))
+    sizes = np.hypot(weights[:, 0], weights[:, 1]).reshape(-1, 4)
     means = sizes.mean(axis=1)
     quarter = max(len(means) // 4, 1)
     return {

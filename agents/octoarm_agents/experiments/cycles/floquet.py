@@ -83,9 +83,8 @@ def run(settings: RunSettings) -> dict[str, Any]:
             {
                 "amplitude_deg": teaching.amplitude,
                 "disturbances": list(teaching.disturbances),
-                "failure": result["failure"],
-                "loops": result["loops"],
             }
+            | result
         )
     return {
         "trials": 1,
@@ -138,10 +137,9 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
         for entry in entries:
             if entry["failure"] is not None:
                 notes.append(f"R = {entry['amplitude_deg']:g}°: {entry['failure']['message']}.")
-            by_factor: dict[float, dict[float, str]] = {}
-            for loop in entry["loops"]:
-                by_factor.setdefault(loop["factor"], {})[loop["noise"]] = _exponents(loop)
-            for factor, cells in by_factor.items():
+            for factor in dict.fromkeys(loop["factor"] for loop in entry["loops"]):
+                loops = [loop for loop in entry["loops"] if loop["factor"] == factor]
+                cells = {loop["noise"]: _exponents(loop) for loop in loops}
                 rows.append((_weighting(entry, factor), *(cells[noise] for noise in noises)))
         columns = ("R, weighting", *(f"ν = {noise:.0e}" for noise in noises))
         title = (
@@ -198,9 +196,7 @@ def draw(result: Mapping[str, Any]) -> Figure:
     figure = new_figure(13.0, 3.2 + 2.7 * rows)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(rows, 1.25))[:, 0]
     panels = above.subplots(rows, len(cycles), sharex=True, sharey=True, squeeze=False)
-    factors = sorted(
-        {loop["factor"] for entries in cycles.values() for e in entries for loop in e["loops"]}
-    )
+    factors = sorted({loop["factor"] for _, _, loop in _all_loops(cycles)})
     colours = dict(zip(factors, _COLOURS, strict=False))
     for column, (target, entries) in zip(panels.T, cycles.items(), strict=True):
         for axes, entry in zip(column, entries, strict=True):
@@ -263,17 +259,16 @@ def _draw_fates(
     left.axvspan(_EXPONENTS[0], 0, color=GREEN, alpha=0.08, linewidth=0)
     left.axvline(0, color=GREY, linewidth=0.8)
     right.set_facecolor(f"{GREEN}14")  # as the other: an opacity of 0.08
-    for marker, entries in zip(_MARKERS, result["cycles"].values(), strict=False):
-        for entry in entries:
-            for loop in entry["loops"]:
-                if loop["leading_exponent"] is None:
-                    continue
-                response = loop["responses"][-1]
-                value = _LEFT if response is None else response
-                colour, held = colours[loop["factor"]], loop["held"]
-                _mark(left, loop["leading_exponent"], value, colour, held, marker)
-                if is_stable(loop):
-                    _mark(right, loop["training_error"], value, colour, held, marker)
+    markers = dict(zip(result["cycles"], _MARKERS, strict=False))
+    for target, _, loop in _all_loops(result["cycles"]):
+        if loop["leading_exponent"] is None:
+            continue
+        response = loop["responses"][-1]
+        value = _LEFT if response is None else response
+        style = (colours[loop["factor"]], loop["held"], markers[target])
+        _mark(left, loop["leading_exponent"], value, *style)
+        if is_stable(loop):
+            _mark(right, loop["training_error"], value, *style)
     for axes in (left, right):
         axes.set_yscale("log")
     left.set_xscale("symlog", linthresh=1.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octoarm_agents.common.orbit import turn_time
+from octoarm_agents.common.orbit import turn_time, upward_crossings
 from octoarm_agents.experiments.runner import round_numbers
 
 __all__ = ["align_orbit", "excerpt", "phase_shift"]
@@ -63,17 +63,8 @@ def phase_shift(before: Float, after: Float, between: int) -> float | None:
         None if one of them does not turn.
     """
     turn = turn_time(before)
-    first, last = _upward_crossing(before), _upward_crossing(after)
-    if first is None or last is None or not math.isfinite(turn):
+    first, last = upward_crossings(before), upward_crossings(after)
+    if not len(last) or not math.isfinite(turn):
         return None
-    turns = (between + last - first) / turn
+    turns = (between + float(last[0]) - float(first[0])) / turn
     return turns - round(turns)
-
-
-def _upward_crossing(signal: Float) -> float | None:
-    """Where a signal first crosses zero upward, interpolated [samples]."""
-    ups = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    if len(ups) == 0:
-        return None
-    up = int(ups[0])
-    return up - float(signal[up] / (signal[up + 1] - signal[up]))

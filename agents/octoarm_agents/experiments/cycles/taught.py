@@ -38,6 +38,10 @@ NOISE_SEEDS = 5
 """Repetitions of a plain training, each with its own noise on the lengths."""
 
 
+_TAUGHT = ("exponents", "training_error_deg", "teaching_seconds")
+"""What is told of a teaching."""
+
+
 @dataclass(frozen=True)
 class TaughtCycle:
     """A limit cycle, and what teaching it gave.
@@ -51,10 +55,9 @@ class TaughtCycle:
     result: Mapping[str, Any]
 
     @property
-    def failure(self) -> dict[str, Any] | None:
+    def failure(self) -> Any:
         """Why the arm could not follow the teacher, None if it could."""
-        failure: dict[str, Any] | None = self.result["failure"]
-        return failure
+        return self.result["failure"]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -69,9 +72,7 @@ class TaughtCycle:
             "noise": self.teaching.noise,
             "disturbances": list(self.teaching.disturbances),
             "teaching_failure": self.failure,
-            "exponents": self.result.get("exponents"),
-            "training_error_deg": self.result.get("training_error_deg"),
-            "teaching_seconds": self.result.get("teaching_seconds"),
+            **{name: self.result.get(name) for name in _TAUGHT},
         }
 
 

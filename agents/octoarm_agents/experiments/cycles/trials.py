@@ -203,10 +203,7 @@ def disturb_cycle(
         "failure": closed.failure,
         "held_before": False,
         "recovered": False,
-        "recovery_seconds": None,
-        "phase_shift": None,
-        "farthest": None,
-    }
+    } | dict.fromkeys(("recovery_seconds", "phase_shift", "farthest"))
     if len(outputs) >= BURST_BEGIN:
         before = score_window(outputs[BURST_BEGIN - WINDOW_STEPS : BURST_BEGIN], orbit, turn)
         result["held_before"] = before["held"]

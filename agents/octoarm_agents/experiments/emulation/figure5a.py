@@ -84,25 +84,22 @@ def _collect(
     Returns:
         ``points``, one an R, and ``confirmed``, which is None where there is but one R.
     """
-    ranges = list(by_range)
-    points = [_point(amplitude, trials, level) for amplitude, trials in by_range.items()]
+    points: list[dict[str, Any]] = []
+    for amplitude, trials in by_range.items():
+        finished = [trial for trial in trials if trial["failure"] is None]
+        tasks = {}
+        for task in TASKS:
+            errors = [
+                (trial["arm"] if level is None else trial["sensor_noise"][level])["test"][task]
+                for trial in finished
+            ]
+            quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
+            tasks[task] = summarise(errors) | dict(zip(_QUARTILES, quartiles, strict=True))
+        failures = list_failures(trials)
+        points.append({"range_deg": amplitude, "failures": failures, "tasks": tasks})
     medians = {task: [point["tasks"][task]["median"] for point in points] for task in TASKS}
-    confirmed = check_features(ranges, medians) if len(ranges) > 1 else None
+    confirmed = check_features(list(by_range), medians) if len(by_range) > 1 else None
     return {"points": points, "confirmed": confirmed}
-
-
-def _point(
-    amplitude: float, trials: Sequence[Mapping[str, Any]], level: int | None
-) -> dict[str, Any]:
-    """What the trials at one R gave."""
-    finished = [trial for trial in trials if trial["failure"] is None]
-    scores = [trial["arm"] if level is None else trial["sensor_noise"][level] for trial in finished]
-    tasks = {}
-    for task in TASKS:
-        errors = [each["test"][task] for each in scores]
-        quartiles = np.percentile(errors, (25, 50, 75)).tolist() if errors else [None] * 3
-        tasks[task] = summarise(errors) | dict(zip(_QUARTILES, quartiles, strict=True))
-    return {"range_deg": amplitude, "failures": list_failures(trials), "tasks": tasks}
 
 
 def check_features(
@@ -118,29 +115,22 @@ def check_features(
     Returns:
         True or False for each feature.
     """
-    found = {
-        task: [(r, e) for r, e in zip(ranges, values, strict=True) if e is not None]
-        for task, values in medians.items()
-    }
-    complete = all(len(points) == len(ranges) for points in found.values())
-    second, tenth, volterra = (np.array([error for _, error in found[task]]) for task in TASKS)
+    errors = np.array([medians[task] for task in TASKS], dtype=np.float64)
+    known = ~np.isnan(errors).any(axis=0)
+    second, tenth, volterra = errors = errors[:, known]
+    left = np.array(ranges)[known]
+    if len(left) < 2:
+        return dict.fromkeys(PAPER_FEATURES, False)
+    complete, lowest = len(left) == len(ranges), int(volterra.argmin())
+    turns = (second[1:-1] > second[:-2]) & (second[1:-1] > second[2:])
     return {
-        "highest_at_smallest_range": all(
-            len(points) > 1
-            and points[0][0] == ranges[0]
-            and points[0][1] == max(error for _, error in points)
-            for points in found.values()
-        ),
-        "second_order_local_maximum_near_45": any(
-            second[k] > second[k - 1]
-            and second[k] > second[k + 1]
-            and abs(found["second_order"][k][0] - 45.0) <= AROUND
-            for k in range(1, len(second) - 1)
+        "highest_at_smallest_range": bool(left[0] == ranges[0] and (errors[:, :1] >= errors).all()),
+        "second_order_local_maximum_near_45": bool(
+            (np.abs(left[1:-1][turns] - 45) <= AROUND).any()
         ),
         "tenth_order_monotone": complete and bool((np.diff(tenth) < 0).all()),
         "volterra_minimum_near_55": complete
-        and abs(found["volterra"][int(volterra.argmin())][0] - 55.0) <= AROUND
-        and bool((np.diff(volterra[int(volterra.argmin()) :]) > 0).all()),
+        and bool(abs(left[lowest] - 55) <= AROUND and (np.diff(volterra[lowest:]) > 0).all()),
     }
 
 

@@ -40,11 +40,8 @@ from octoarm_agents.experiments.emulation.trials import (
 )
 from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_number, format_spread
-from octoarm_agents.reservoir.baselines import BASELINES
 
 __all__ = ["TABLE2"]
-
-METHODS = ("arm", *BASELINES)
 
 SENSOR_NOISE = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
 """Standard deviations of the normal noise on the lengths, in training and test [m]."""
@@ -99,7 +96,7 @@ def _tabulate(trials: Sequence[Mapping[str, Any]], amplitude: float) -> dict[str
         tasks[task] = {
             method: summarise(errors(method, "test", task))
             | {"training_mean": summarise(errors(method, "training", task))["mean"]}
-            for method in METHODS
+            for method in _LABELS
         }
         tasks[task]["p_value"] = welch_p_value(
             errors("arm", "test", task), errors("linear_regressor", "test", task)
@@ -142,8 +139,8 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
 def _error_table(title: str, table: Mapping[str, Any]) -> ResultTable:
     tasks = [table["tasks"][task] for task in TASKS]
     rows = []
-    for method in METHODS:
-        rows.append((_LABELS[method], *(_told(entry[method]) for entry in tasks)))
+    for method, label in _LABELS.items():
+        rows.append((label, *(_told(entry[method]) for entry in tasks)))
         if method in tasks[0].get("paper", ()):
             papers = (format_spread(e["paper"][method], e["paper_sd"][method]) for e in tasks)
             rows.append(("  in the paper", *papers))
@@ -178,13 +175,13 @@ def draw(result: Mapping[str, Any]) -> Figure:
 def _draw_bars(axes: Axes, entry: Mapping[str, Any], *, labelled: bool) -> None:
     """One bar a method, with its standard deviation and its value."""
     bars: list[tuple[str, float | None, float | None, str]] = []
-    for method in METHODS:
+    for method, label in _LABELS.items():
         colour = {"arm": BLUE, "linear_regressor": VERMILLION}.get(method, GREY)
         summary = entry[method]
-        bars.append((_LABELS[method], summary["mean"], summary["sd"], colour))
+        bars.append((label, summary["mean"], summary["sd"], colour))
         if method in entry.get("paper", ()):
-            label = f"{_LABELS[method]}, paper"
-            bars.append((label, entry["paper"][method], entry["paper_sd"][method], ORANGE))
+            paper = entry["paper"][method], entry["paper_sd"][method]
+            bars.append((f"{label}, paper", *paper, ORANGE))
     values = [mean for _, mean, _, _ in bars if mean is not None]
     high = max(values)
     # A method that makes a task's own formula would stretch the axis by 25 powers of ten.

@@ -8,8 +8,8 @@ of an arm that left its domain, of which there are no errors.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -80,15 +80,44 @@ def record_trials(
     return record_many([Arm(parameters)] * len(drives), drives, amplitudes)
 
 
+def _trial(measure: Callable[..., dict[str, Any]]) -> Trial:
+    """Make a trial of what is to be measured.
+
+    Args:
+        measure: is called with the spring lengths (None after a failure), the drive, a generator of
+            (seed, trial) and the trial's other settings.
+    """
+
+    @functools.wraps(measure)
+    def run(
+        parameters: ArmParameters,
+        *,
+        kind: str,
+        amplitude: float,
+        seed: int,
+        trial: int,
+        recording: Recording | None = None,
+        **more: Any,
+    ) -> dict[str, Any]:
+        drive = Drive.make(kind, seed, trial)
+        if recording is None:
+            (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
+        lengths: Recording | None = recording
+        failure = None
+        if isinstance(recording, DomainError):
+            lengths, failure = None, describe_domain_error(recording)
+        result = {"trial": trial, "initial_steps": drive.initial, "failure": failure}
+        return result | measure(lengths, drive, np.random.default_rng([seed, trial]), **more)
+
+    return run
+
+
+@_trial
 def score_arm(
-    parameters: ArmParameters,
-    *,
-    kind: str,
-    amplitude: float,
-    seed: int,
-    trial: int,
+    lengths: Float | None,
+    drive: Drive,
+    random: np.random.Generator,
     sensor_noise: Sequence[float] = (),
-    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Errors of the arm's readout, and of readouts that see the same run through noise.
 
@@ -98,32 +127,20 @@ def score_arm(
     Returns:
         Besides what is said above ``arm`` ({phase: {task: error}}), ``state_rank`` and
         ``sensor_noise`` (one {phase: {task: error}} a level).
-
-    Raises:
-        ValueError: a half width that is negative or not finite.
     """
-    if not all(0 <= level < math.inf for level in sensor_noise):
-        raise ValueError(
-            f"sensor_noise = {list(sensor_noise)}: expected finite half widths >= 0, in metres"
-        )
-    drive = Drive.make(kind, seed, trial)
-    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
     if lengths is None:
-        return result
-    (stream,) = np.random.default_rng([seed, trial]).spawn(1)
+        return {}
+    (stream,) = random.spawn(1)
     noises = (stream.uniform(-level, level, lengths.shape) for level in sensor_noise)
-    return result | _score(lengths, drive, noises)
+    return _score(lengths, drive, noises)
 
 
+@_trial
 def compare_methods(
-    parameters: ArmParameters,
-    *,
-    kind: str,
-    amplitude: float,
-    seed: int,
-    trial: int,
+    lengths: Float | None,
+    drive: Drive,
+    random: np.random.Generator,
     sensor_noise: Sequence[float],
-    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Errors of the arm, of the baselines on the same rows, and of the arm seen through noise.
 
@@ -133,12 +150,12 @@ def compare_methods(
     Returns:
         As `score_arm`, and always ``baselines`` ({name: {phase: {task: error}}}).
     """
-    drive = Drive.make(kind, seed, trial)
-    network_stream, noise_stream = np.random.default_rng([seed, trial]).spawn(2)
-    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
-    result["baselines"] = {
-        name: score_features(features(drive.signal, network_stream), drive)[0]
-        for name, features in BASELINES.items()
+    network_stream, noise_stream = random.spawn(2)
+    result: dict[str, Any] = {
+        "baselines": {
+            name: score_features(features(drive.signal, network_stream), drive)[0]
+            for name, features in BASELINES.items()
+        }
     }
     if lengths is None:
         return result
@@ -146,14 +163,9 @@ def compare_methods(
     return result | _score(lengths, drive, noises)
 
 
+@_trial
 def leave_out_compartments(
-    parameters: ArmParameters,
-    *,
-    kind: str,
-    amplitude: float,
-    seed: int,
-    trial: int,
-    recording: Recording | None = None,
+    lengths: Float | None, drive: Drive, _: np.random.Generator
 ) -> dict[str, Any]:
     """Errors with one compartment's four springs left out, at the test alone or from the start.
 
@@ -162,10 +174,8 @@ def leave_out_compartments(
         ``zeroed`` (one {task: error} a compartment) with its trained weights set to zero,
         ``retrained`` (likewise) with a readout trained without it.
     """
-    drive = Drive.make(kind, seed, trial)
-    result, lengths = _follow(parameters, drive, amplitude, trial, recording)
     if lengths is None:
-        return result
+        return {}
     readout = fit_readout(lengths, drive)
     test, targets = lengths[drive.test], drive.targets[drive.test]
     outputs = readout.predict(test)
@@ -176,27 +186,8 @@ def leave_out_compartments(
         zeroed.append(mean_squared_errors(without, targets))
         kept = np.delete(test, springs, axis=1)
         retrained.append(mean_squared_errors(kept @ reduced, targets))
-    return result | {
-        "full": mean_squared_errors(outputs, targets),
-        "zeroed": zeroed,
-        "retrained": retrained,
-    }
-
-
-def _follow(
-    parameters: ArmParameters,
-    drive: Drive,
-    amplitude: float,
-    trial: int,
-    recording: Recording | None,
-) -> tuple[dict[str, Any], Float | None]:
-    """What the result of every trial begins with, and the lengths; None after a failure."""
-    if recording is None:
-        (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
-    result = {"trial": trial, "initial_steps": drive.initial, "failure": None}
-    if isinstance(recording, DomainError):
-        return result | {"failure": describe_domain_error(recording)}, None
-    return result, recording
+    full = mean_squared_errors(outputs, targets)
+    return {"full": full, "zeroed": zeroed, "retrained": retrained}
 
 
 def _score(lengths: Float, drive: Drive, noises: Iterable[Float]) -> dict[str, Any]:
