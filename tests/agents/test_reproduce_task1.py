@@ -134,14 +134,14 @@ def test_arms_are_recorded_together_as_alone():
 
 
 @pytest.mark.parametrize(
-    ("function", "more", "jobs"),
+    ("function", "more"),
     [
-        (score_arm, {"sensor_noise": [1e-5]}, 2),
-        (compare_methods, {"sensor_noise": [1e-5]}, 1),
-        (leave_out_compartments, {}, 1),
+        (score_arm, {"sensor_noise": [1e-5]}),
+        (compare_methods, {"sensor_noise": [1e-5]}),
+        (leave_out_compartments, {}),
     ],
 )
-def test_trials_together_are_the_trials_alone(tmp_path, function, more, jobs):
+def test_trials_together_are_the_trials_alone(tmp_path, function, more):
     settings = [
         {"kind": kind, "amplitude": amplitude, "seed": 0, "trial": trial, **more}
         for kind, amplitude, trial in (
@@ -153,9 +153,12 @@ def test_trials_together_are_the_trials_alone(tmp_path, function, more, jobs):
     ]
     alone = run_trials(function, HEAVY, settings, folder=tmp_path / "alone")
     assert [each["failure"] is None for each in alone] == [True, False, True, True]
-    folder = tmp_path / "together"
-    together = run_trials(function, HEAVY, settings, folder=folder, record=record_trials, jobs=jobs)
-    assert together == alone
+    for jobs in (1, 2):
+        folder = tmp_path / str(jobs)
+        together = run_trials(
+            function, HEAVY, settings, folder=folder, record=record_trials, jobs=jobs
+        )
+        assert together == alone
 
 
 def test_table2(octoarm, tmp_path):
