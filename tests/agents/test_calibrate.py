@@ -234,10 +234,8 @@ def bowl(bodies, initial, amplitudes, noise_seeds):
     assert amplitudes == {"quadratic": 60.0}
     return [
         Judgement(
-            math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
-            None,
-            dict.fromkeys(TASKS, 1.0),
-            None,
+            score=math.log(body.plane_mass / 1e-3) ** 2 + math.log(body.area_scale / 20) ** 2,
+            ratios=dict.fromkeys(TASKS, 1.0),
         )
         for body in bodies
     ]
@@ -362,7 +360,7 @@ def test_calibrate_body(octoarm, tmp_path):
     assert ArmParameters.from_json(out / "body.json") == BODY.replace(**best.body)
     assert content["measured_again"]["initial_steps"] == [0, 1000]
     assert [space["lift_scale"] for space in content["spaces"]] == [1, -1]
-    assert min(space["best_score"] for space in content["spaces"]) == best.score
+    assert min(space["best"]["score"] for space in content["spaces"]) == best.score
     assert content["settings"]["amplitudes_degrees"] == {"lissajous": 5}
     assert content["settings"]["seed"] == 4
     assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")

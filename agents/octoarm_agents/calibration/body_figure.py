@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from octoarm_agents.calibration.evaluation import Evaluation
-from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
+from octoarm_agents.calibration.space import OPEN_NUMBERS, READINGS, SearchSpace
 from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
@@ -132,7 +132,7 @@ def _abscissa(name: str, body: Mapping[str, Any]) -> float:
 def _label(space: SearchSpace, spaces: Sequence[SearchSpace]) -> str:
     """What tells a space from the others."""
     parts = [f"lift {space.lift_scale:+g}"]
-    for name in ("volume_force", "reference_area"):
+    for name in READINGS[1:]:
         if len({getattr(each, name) for each in spaces}) > 1:
-            parts.append(str(getattr(space, name)))
+            parts.append(getattr(space, name))
     return ", ".join(parts)

@@ -177,7 +177,9 @@ def evaluate_bodies(
 
     def fail(index: int, stage: str, part: float, remaining: int, **more: str) -> None:
         failure = {"stage": stage, "part": part} | more
-        results[index] = Judgement(FAILURE + remaining - part, None, ratios.get(index), failure)
+        results[index] = Judgement(
+            score=FAILURE + remaining - part, ratios=ratios.get(index), failure=failure
+        )
         arms.pop(index, None)
 
     ratios: dict[int, dict[str, float]] = {}
@@ -203,5 +205,5 @@ def evaluate_bodies(
         if noise_seeds:
             outcomes = plain_outcomes(bodies[index], noise_seeds)
             score = min(score + OUTCOME_WEIGHT * count_contradictions(outcomes), FAILURE)
-        results[index] = Judgement(score, outcomes, ratios[index], None)
+        results[index] = Judgement(score=score, outcomes=outcomes, ratios=ratios[index])
     return [results[index] for index in range(len(bodies))]

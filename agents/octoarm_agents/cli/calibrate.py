@@ -124,36 +124,29 @@ def _body_table(result: dict[str, Any]) -> Table:
     columns = []
     for search in result["spaces"]:
         table.add_column(f"lift {search['lift_scale']:+g}", justify="right")
-        outcomes, ratios, score = (search[f"best_{x}"] for x in ("outcomes", "ratios", "score"))
         failures = f"{search['failures']} of {search['evaluations']}"
-        columns.append(_body_column(search["best_body"], outcomes, ratios, score, failures))
+        columns.append(_body_column(search["best"], failures))
     table.add_column("best, measured again", justify="right")
-    best, again = result["best"], result["measured_again"]
-    last = _body_column(
-        best["body"], best["outcomes"], again["mean_ratios"], again["score"], failures=""
-    )
-    for name in last:
-        table.add_row(name, *(column.get(name, "–") for column in (*columns, last)))
+    again = result["measured_again"]
+    measured = {"ratios": again["mean_ratios"], "score": again["score"]}
+    columns.append(_body_column(result["best"] | measured))
+    for name in columns[-1]:
+        table.add_row(name, *(column.get(name, "–") for column in columns))
     return table
 
 
-def _body_column(
-    body: dict[str, Any],
-    outcomes: dict[str, list[str]] | None,
-    ratios: dict[str, float] | None,
-    score: float | None,
-    failures: str,
-) -> dict[str, str]:
-    """What the table says of a body, by row."""
+def _body_column(best: dict[str, Any], failures: str = "") -> dict[str, str]:
+    """What the table says of an evaluation, by row."""
     from octoarm_agents.calibration.outcomes import describe_outcomes
-    from octoarm_agents.calibration.space import OPEN_NUMBERS
+    from octoarm_agents.calibration.space import OPEN_NUMBERS, READINGS
     from octoarm_agents.experiments.emulation.protocol import TASKS
 
-    column = {name: str(body[name]) for name in ("volume_force", "reference_area")}
-    if outcomes is not None:
-        column["outcomes as in the paper"] = describe_outcomes(outcomes)
+    body, ratios = best["body"], best["ratios"]
+    column = {name: str(body[name]) for name in READINGS[1:]}
+    if best["outcomes"] is not None:
+        column["outcomes as in the paper"] = describe_outcomes(best["outcomes"])
     column |= {task: "–" if ratios is None else f"{ratios[task]:.3g}" for task in TASKS}
-    column["score"] = "–" if score is None else f"{score:.3f}"
+    column["score"] = "–" if best["score"] is None else f"{best['score']:.3f}"
     column |= {name: f"{body[name]:.4g}" for name in OPEN_NUMBERS}
     column["gravity"] = " ".join(f"{each:.3g}" for each in body["gravity"])
     return column | {"left their domain": failures}
