@@ -13,12 +13,8 @@ from octoarm_agents.calibration.body_figure import draw_calibration
 from octoarm_agents.calibration.evaluation import Evaluation
 from octoarm_agents.calibration.outcomes import CLOSED_STEPS
 from octoarm_agents.calibration.score import (
-    FAILURE,
-    LARGEST_GAIN,
-    OUTCOME_WEIGHT,
-    SMALLEST_RATIO,
+    SCORE,
     TEACHER_STEPS,
-    WORST_WEIGHT,
     initial_steps,
     measure_task1,
     score_ratios,
@@ -30,15 +26,7 @@ from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.experiments.emulation.protocol import RANGE, TASKS, check_timestep
 from octoarm_env import Arm, ArmParameters, DomainError
 
-__all__ = ["SCORE", "calibrate_body", "measure_again"]
-
-SCORE = (
-    f"{OUTCOME_WEIGHT:g} (limit cycles that end otherwise than in the paper)"
-    f" + Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task)"
-    f" + Σ max(0, ln({SMALLEST_RATIO:g} / r)),"
-    f" r = mean squared error / that of Table 2, Task 1 at R = {RANGE:g} degrees;"
-    f" from {FAILURE:g} on: the body left its domain"
-)
+__all__ = ["calibrate_body", "measure_again"]
 
 
 def calibrate_body(

@@ -85,9 +85,8 @@ def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:
     failures = [k for k, each in enumerate(tried) if each.failure is not None]
     _draw_failures(axes, failures, label="left its domain" if failures else None)
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
+    axes.set(xlabel="evaluation (line: the best body so far)", ylabel="error / that of Table 2")
     axes.set_yscale("log")
-    axes.set_xlabel("evaluation (line: the best body so far)")
-    axes.set_ylabel("error / that of Table 2")
     axes.legend(fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
 

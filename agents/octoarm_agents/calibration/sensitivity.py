@@ -119,11 +119,9 @@ def probe_change(
     for target in LIMIT_CYCLES:
         tried = len(amplitudes)
         steps = follow_teachers([arm] * tried, [target] * tried, amplitudes)
-        largest[target] = None
-        for amplitude, made in zip(amplitudes, steps, strict=True):
-            if made < TEACHER_STEPS:
-                break
-            largest[target] = amplitude
+        failed = [made < TEACHER_STEPS for made in steps]
+        followed = amplitudes[: failed.index(True)] if True in failed else amplitudes
+        largest[target] = followed[-1] if followed else None
     outcomes = plain_outcomes(body, noise_seeds) if noise_seeds else None
     return result | {"task1": task1, "outcomes": outcomes, "largest_amplitudes": largest}
 

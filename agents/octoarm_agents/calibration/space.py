@@ -126,10 +126,6 @@ class SearchSpace:
 
     def changes(self, coordinates: Sequence[float] | Float) -> dict[str, Any]:
         """The open parameters of the body at coordinates from 0 to 1, by field."""
-        if len(coordinates) != self.dimension:
-            raise ValueError(
-                f"coordinates has {len(coordinates)} numbers: expected {self.dimension}"
-            )
         values = [float(coordinate) for coordinate in coordinates]
         numbers = {
             name: number.value(value)
@@ -143,11 +139,8 @@ class SearchSpace:
             tilt = min(math.hypot(*across), _TILT)
             azimuth = math.atan2(across[1], across[0])
             strength = math.hypot(*self.base.gravity)
-            gravity = (
-                strength * math.sin(tilt) * math.cos(azimuth),
-                strength * math.sin(tilt) * math.sin(azimuth),
-                strength * math.cos(tilt),
-            )
+            side = strength * math.sin(tilt)
+            gravity = side * math.cos(azimuth), side * math.sin(azimuth), strength * math.cos(tilt)
         return numbers | {"gravity": list(gravity)} | self.readings
 
 

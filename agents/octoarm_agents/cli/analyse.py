@@ -282,9 +282,7 @@ def sensitivity(
         "out/analysis/sensitivity"
     ),
     trials: Annotated[int, number("T_ini over which the errors are averaged.", 1, 1001)] = 3,
-    noise_seeds: Annotated[
-        int, number("Trainings of each limit cycle with the paper's R and ν.", 0, 100)
-    ] = 2,
+    noise_seeds: Annotated[int, number("Trainings of each cycle, as in the paper.", 0, 100)] = 2,
     ranges: Annotated[
         str | None,
         typer.Option(help="R of the teachers in degrees.", show_default="5 to 130 in ten steps"),

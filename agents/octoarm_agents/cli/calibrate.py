@@ -19,7 +19,7 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
-from octoarm_agents.common.progress import progress_bar
+from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,14 +31,10 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-BOTH = "both"
-
 
 @app.command("body")
 def body(
-    evaluations: Annotated[
-        int, number("Bodies tried for each sign and reading, some ten seconds each.", 1, 10**6)
-    ] = 120,
+    evaluations: Annotated[int, number("Bodies tried for each sign and reading.", 1, 10**6)] = 120,
     out: Annotated[
         Path, result_folder("evaluations.jsonl, calibration.json, calibration.png and body.json")
     ] = Path("out/calibrate/body"),
@@ -52,23 +48,13 @@ def body(
         Literal["wetted", "planform", "both"] | None,
         typer.Option(help="Reading of A_r.", show_default="that of the body"),
     ] = None,
-    tilt: Annotated[
-        bool, typer.Option("--tilt", help="Search the direction of gravity too.")
-    ] = False,
+    tilt: Annotated[bool, typer.Option("--tilt", help="Search gravity's direction too.")] = False,
     amplitudes: Annotated[
         str | None,
-        typer.Option(
-            help="Cycles that the body must be able to follow on a direct base, with R in degrees: "
-            "quadratic=60,van_der_pol=45.",
-            show_default="none",
-        ),
+        typer.Option(help="Cycles to follow: quadratic=60,van_der_pol=45.", show_default="none"),
     ] = None,
-    noise_seeds: Annotated[
-        int, number("Trainings of each cycle by the paper; 0: Table 2 alone counts.", 0, 100)
-    ] = 2,
-    trials: Annotated[
-        int, number("T_ini with which the best body is measured again.", 1, 1001)
-    ] = 5,
+    noise_seeds: Annotated[int, number("Trainings of each cycle, as in the paper.", 0, 100)] = 2,
+    trials: Annotated[int, number("T_ini of the best body's last measurement.", 1, 1001)] = 5,
     seed: Seed = 0,
     jobs: Jobs = None,
     arm: Body = None,
@@ -77,7 +63,9 @@ def body(
 
     CMA-ES, from the given body, over the parameters that the paper leaves open and
     nothing else. docs/body.md has their bounds and the score. Signs and readings
-    are searched apart from each other.
+    are searched apart from each other. With --amplitudes, a body must also be able
+    to follow those cycles on a direct base; with --noise-seeds 0, Table 2 alone
+    counts.
 
     Every evaluation is kept in evaluations.jsonl: the same call goes on where
     it was interrupted, one with more --evaluations where it ended.
@@ -156,15 +144,13 @@ def _body_column(best: dict[str, Any], failures: str = "") -> dict[str, str]:
 def cycle(
     target: TargetArgument,
     amplitude: Annotated[
-        float,
-        number("R: largest angle of the target.", 0.1, 360.0, "degrees", "--amplitude", "-R"),
+        float, number("R: its largest angle.", 0.1, 360.0, "degrees", "--amplitude", "-R")
     ],
     out: Annotated[Path, result_folder("TARGET-ACTUATOR.json")] = Path("out/calibrate/cycle"),
     actuator: Actuator = "direct",
     evaluations: Annotated[int, number("Teachings tried.", 8, 10**6)] = 160,
     noise: Annotated[
-        float,
-        number("Half width of noise on the outputs of a trial, at first.", 0.0, 90.0, "degrees"),
+        float, number("Half width of noise on a trial's first outputs.", 0.0, 90.0, "degrees")
     ] = 0.01,
     steps: Annotated[
         int, number("Physics steps in closed loop of the one found.", 10_000, 10**8)
@@ -188,13 +174,7 @@ def cycle(
 
     parameters = read_body(arm)
     try:
-        # A thousand steps count as one candidate: about as long.
-        with refused("--arm"), progress_bar(evaluations + steps // 1000, target) as bar:
-
-            def advance(stage: str, count: int) -> None:
-                bar.set_postfix_str(stage)
-                bar.update(count if stage == "candidates" else count // 1000)
-
+        with refused("--arm"), stage_bar("candidates") as advance:
             result = calibrate_cycle(
                 parameters,
                 target,
@@ -223,8 +203,8 @@ def _cycle_table(result: dict[str, Any]) -> Table:
 
     settings, teaching, loop = (result[name] for name in ("settings", "teaching", "closed_loop"))
     table = Table(
-        title=f"{settings['target']} cycle, {settings['actuator']} base,"
-        f" R = {settings['amplitude_degrees']:g}°",
+        title=f"{teaching['target']} cycle, {teaching['actuator']} base,"
+        f" R = {teaching['amplitude']:g}°",
         show_header=False,
     )
     table.add_column("")
@@ -239,8 +219,8 @@ def _cycle_table(result: dict[str, Any]) -> Table:
     table.add_row("training error", f"{result['training_error_degrees']:.3g}°")
     scores = loop["scores"]
     if scores is None:
-        table.add_row("closed loop", f"lost at step {loop['failure']['step']}")
-        table.add_row("", loop["failure"]["message"])
+        failure = loop["failure"]
+        table.add_row(f"closed loop lost at step {failure['step']}", failure["message"])
     else:
         distances = f"{scores['mean_distance']:.5f} / {scores['max_distance']:.5f}"
         table.add_row(f"mean / max distance after {loop['steps']} steps, in R", distances)
@@ -249,7 +229,7 @@ def _cycle_table(result: dict[str, Any]) -> Table:
 
 
 def _each(choice: str, choices: tuple[str, ...]) -> tuple[str, ...]:
-    return choices if choice == BOTH else (choice,)
+    return choices if choice == "both" else (choice,)
 
 
 def _parse_amplitudes(text: str | None) -> dict[str, float]:
