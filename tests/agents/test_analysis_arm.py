@@ -136,10 +136,8 @@ def test_leaving_the_domain_is_reported(octoarm, tmp_path):
 
 
 def test_a_sweep_is_the_same_with_more_processes_and_lists_what_failed():
-    done = []
     arguments = "range", (2.5, 200.0), ArmParameters.preset("inertial"), SHORT
-    points = run_sweep(*arguments, jobs=1, advance=done.append)
-    assert done == points
+    points = run_sweep(*arguments, jobs=1)
     assert points[0].failure is None
     assert points[1].summary is None
     assert "left its domain" in points[1].failure

@@ -90,8 +90,6 @@ def test_trajectories_that_stay_apart_are_not_forgotten():
     assert fit_decay(np.array([1.0] + [0.0] * 12), 1.0).decay_time_seconds == 0.0
     with pytest.raises(ValueError, match="same state"):
         fit_decay(np.zeros(12), 1.0)
-    with pytest.raises(ValueError, match="expected at least 10"):
-        fit_decay(np.ones(9), 1.0)
 
 
 def test_ranks_of_known_matrices():
@@ -108,5 +106,3 @@ def test_ranks_of_known_matrices():
     assert (ranks.kernel_rank, ranks.generalisation_rank) == (20, 4)
     # Both are measured against the different streams.
     assert separation_ranks(wide, 1e-8 * narrow, 1e-6).generalisation_rank == 0
-    with pytest.raises(ValueError, match="with the same n"):
-        separation_ranks(wide, narrow[:, :5], 1e-6)

@@ -171,7 +171,11 @@ def text(*rows, header="t,a,u"):
         (text('0,1,2,"ok', "1,2,2,", header="t,a,u,b"), {"input_columns": "u"}, "line 3: "),
         (text("0,1,2"), {"input_columns": "u", "hold": 5}, "no whole hold in 1 rows"),
         (text("0,1,2", "inf,2,1"), {"input_columns": "u", "time_column": "t"}, "1 of 2 cells"),
-        (text("0,1,2"), {"input_columns": "u", "hold": 0}, "hold = 0: expected at least 1"),
+        (
+            text("0,1,2"),
+            {"input_columns": "u", "hold": 0},
+            "hold = 0: expected a whole number",
+        ),
         (text("0,1,2"), {"input_columns": "u", "fill_gaps": -1}, "fill_gaps = -1"),
     ],
 )

@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_agents.common.whole import whole_number
+
 __all__ = ["CsvFile", "Times"]
 
 Float = NDArray[np.float64]
@@ -59,8 +61,7 @@ class CsvFile:
         lines = list(io.StringIO(_decode(path.read_bytes()), newline=""))
         while lines and not lines[-1].strip(" \r\n\t;,"):
             lines.pop()
-        if skip_lines < 0:
-            raise ValueError(f"skip_lines = {skip_lines}: expected a number of lines, not negative")
+        skip_lines = whole_number("skip_lines", skip_lines)
         # Blank lines in the place of what is left out keep the numbers of the others.
         lines[:skip_lines] = ["\n"] * min(skip_lines, len(lines))
         self._lines = lines
@@ -75,6 +76,8 @@ class CsvFile:
                 before = False
         first = list(islice(filter(str.strip, lines), 100))
         self._delimiter = delimiter or _delimiter(first)
+        # A number with each of the decimal marks that were found, in whatever columns.
+        self._marks: dict[str, str] = {}
         self._begin, names = self._header(comment)
         self.names = tuple(
             " ".join(name.split()) or str(number) for number, name in enumerate(names, start=1)
@@ -197,7 +200,7 @@ class CsvFile:
         Raises:
             ValueError: a cell with anything else, decimal points and commas together, or no rows.
         """
-        values, marks = array("d"), dict[str, str]()
+        values, marks = array("d"), self._marks
         for line, cells in self._data():
             row = [cells[column] for column in columns]
             text = "".join(row)

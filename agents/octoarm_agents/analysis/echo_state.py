@@ -54,14 +54,12 @@ def fit_decay(distances: Float, interval: float) -> EchoState:
     """Fit an exponential to distances, least squares of their logarithms.
 
     Args:
-        distances: (samples,), at least 10, the first not zero.
+        distances: (samples,), the first not zero.
         interval: between two samples [s].
 
     Raises:
-        ValueError: too few distances, or trajectories that start together.
+        ValueError: trajectories that start together.
     """
-    if len(distances) < 10:
-        raise ValueError(f"{len(distances)} distances: expected at least 10")
     if not distances[0] > 0:
         raise ValueError("the two trajectories start from the same state")
     low = np.flatnonzero(distances <= _FLOOR * distances[0])

@@ -113,8 +113,7 @@ def _draw_dimension(axes: Axes, measures: Measures, survey: ArmSurvey | None) ->
     axes.axhline(tolerance, color=GREY, linewidth=0.9, linestyle=":")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-9))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("index")
-    axes.set_ylabel("singular value / largest")
+    axes.set(xlabel="index", ylabel="singular value / largest")
     _legend(axes, f"(number above {tolerance:g})")
 
 
@@ -129,17 +128,10 @@ def _draw_degrees(axes: Axes, measures: Measures) -> None:
     sums = processing.by_degree
     degrees = np.arange(1, len(sums) + 1)
     axes.bar(degrees, sums, color=degree_colours(len(sums)))
-    for degree, value, tried, counted in zip(
-        degrees,
-        sums,
-        processing.targets_by_degree,
-        processing.significant_by_degree,
-        strict=True,
-    ):
-        axes.text(int(degree), value, f"{counted} of {tried}", ha="center", va="bottom", fontsize=8)
+    for degree, value, counts in zip(degrees, sums, processing.counts, strict=True):
+        axes.text(int(degree), value, counts, ha="center", va="bottom", fontsize=8)
     axes.set(xticks=degrees, ylim=(0, 1.15 * max(float(sums.max()), 0.1)))
-    axes.set_xlabel("total degree (labels: functions that count)")
-    axes.set_ylabel("sum of capacities")
+    axes.set(xlabel="total degree (labels: functions that count)", ylabel="sum of capacities")
 
 
 def _draw_echo(axes: Axes, survey: ArmSurvey) -> None:

@@ -89,6 +89,12 @@ class InformationProcessingCapacity:
         """The sum for all degrees above 1."""
         return float(self.by_degree[1:].sum())
 
+    @property
+    def counts(self) -> list[str]:
+        """How many of the functions of each degree count, in words."""
+        pairs = zip(self.significant_by_degree, self.targets_by_degree, strict=True)
+        return [f"{counted} of {tried}" for counted, tried in pairs]
+
     def to_dict(self) -> dict[str, Any]:
         """All as plain numbers for a JSON file."""
         return plain(self) | {
@@ -244,22 +250,19 @@ def _blocks(degree: int, delay: int, highest: Sequence[int], size: int) -> Itera
     input occurs more than once. Orders above an input's `highest` do not exist and are left out.
     """
     variables = [(column, age) for column in range(len(highest)) for age in range(delay + 1)]
-    functions = filter(
-        None,
-        (
-            _factors(chosen, degree, highest)
-            for chosen in combinations_with_replacement(variables, degree)
-        ),
+    products = (
+        _factors(chosen, degree) for chosen in combinations_with_replacement(variables, degree)
+    )
+    functions = (
+        factors
+        for factors in products
+        if all(order <= highest[column] for order, column, _ in factors)
     )
     while block := list(islice(functions, size)):
         yield np.array(block, dtype=np.int64)
 
 
-def _factors(
-    chosen: tuple[tuple[int, int], ...], degree: int, highest: Sequence[int]
-) -> list[tuple[int, int, int]] | None:
+def _factors(chosen: tuple[tuple[int, int], ...], degree: int) -> list[tuple[int, int, int]]:
     """The factors of a product in which an input occurs as often as its polynomial's order."""
     factors = [(len(list(group)), *variable) for variable, group in groupby(chosen)]
-    if any(order > highest[column] for order, column, _ in factors):
-        return None
     return factors + [(0, 0, 0)] * (degree - len(factors))

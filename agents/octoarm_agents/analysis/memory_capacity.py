@@ -103,6 +103,8 @@ def memory_capacity(
     Raises:
         ValueError: a number out of its range, or too few rows.
     """
+    from scipy.stats import chi2
+
     max_delay, washout = whole_number("max_delay", max_delay, 1), whole_number("washout", washout)
     if not 0.1 <= training_fraction <= 0.9:
         raise ValueError(f"training_fraction = {training_fraction}: expected 0.1 to 0.9")
@@ -121,7 +123,7 @@ def memory_capacity(
     predictions = taught.predict(targets[:, :split], states[split:]).T
     correlations = _squared_correlations(predictions, targets[:, split:])
     # A single regressor, the readout's output, on the rows that it has not seen.
-    held_out_threshold = _one_regressor_threshold(significance, len(states) - split)
+    held_out_threshold = float(chi2.isf(significance, 1)) / (len(states) - split)
     held_out = np.where(correlations > held_out_threshold, correlations, 0.0)
     return MemoryCapacity(
         capacities=found.significant(threshold).reshape(columns, delays),
@@ -142,9 +144,3 @@ def _squared_correlations(first: Float, second: Float) -> Float:
     powers = np.einsum("mt,mt->m", first, first) * np.einsum("mt,mt->m", second, second)
     squares: Float = np.divide(products, powers, out=np.zeros(len(powers)), where=powers > 0)
     return squares
-
-
-def _one_regressor_threshold(significance: float, samples: int) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.isf(significance, 1)) / samples

@@ -112,18 +112,18 @@ def correlated_inputs(inputs: Float, max_delay: int) -> tuple[int, int, float] |
 
     scaled = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
     rows, count = inputs.shape
-    largest, tests = (0, 0, 0.0), 0
-    for delay in range(min(max_delay, rows - 2) + 1):
-        correlations = np.abs(scaled[delay:].T @ scaled[: rows - delay]) / rows
-        for first in range(count):
-            for second in range(count) if delay else range(first):
-                if first != second:
-                    tests += 1
-                    found = (first, second, float(correlations[first, second]))
-                    largest = max(largest, found, key=lambda each: each[2])
+    longest = min(max_delay, rows - 2)
+    correlations = np.array(
+        [np.abs(scaled[k:].T @ scaled[: rows - k]) / rows for k in range(longest + 1)]
+    )
+    correlations[:, np.eye(count, dtype=bool)] = 0.0
+    _, *pair = np.unravel_index(int(correlations.argmax()), correlations.shape)
+    # At delay 0 each pair is there twice.
+    tests = count * (count - 1) * (2 * longest + 1) // 2
     limit = float(norm.isf(0.001 / (2 * max(tests, 1)))) / rows**0.5
-    first, second, value = largest
-    return (min(first, second), max(first, second), value) if value > limit else None
+    first, second = sorted(map(int, pair))
+    value = float(correlations.max())
+    return (first, second, value) if value > limit else None
 
 
 def orthonormal_polynomials(values: Float, degree: int, family: Family) -> Float:

@@ -62,13 +62,8 @@ def separation_ranks(different: Float, similar: Float, tolerance: float) -> Sepa
         tolerance: see :class:`SeparationRanks`.
 
     Raises:
-        ValueError: matrices that do not fit, or a tolerance that is not between 0 and 1.
+        ValueError: a tolerance that is not between 0 and 1.
     """
-    if different.ndim != 2 or similar.ndim != 2 or different.shape[1] != similar.shape[1]:
-        raise ValueError(
-            "different and similar must be matrices (streams, n) with the same n, "
-            f"got shapes {different.shape} and {similar.shape}"
-        )
     kernel, generalisation = (
         np.linalg.svd(states - states.mean(axis=0), compute_uv=False)
         for states in (different, similar)

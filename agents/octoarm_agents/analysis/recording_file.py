@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +24,13 @@ from octoarm_agents.analysis.states import (
     check_same_length,
     name_column,
 )
+from octoarm_agents.common.whole import whole_number
 
 __all__ = ["read_recording"]
 
 Float = NDArray[np.float64]
+_Table = tuple[Float, list[str]]
+"""Values (T, k), NaN where there is no number, and the names of the columns."""
 
 _TEXT = (".csv", ".tsv", ".txt")
 
@@ -67,71 +69,50 @@ def read_recording(
         OSError: a file that cannot be read.
         ValueError: a file of another kind or content; see also :class:`Recording`.
     """
-    for name, value, low in (("fill_gaps", fill_gaps, 0), ("hold", 1 if hold is None else hold, 1)):
-        if value < low:
-            raise ValueError(f"{name} = {value}: expected at least {low}")
-    log = _read_log(states, inputs, states_columns, input_columns, time_column, skip_lines)
-    check_same_length(log.states, log.inputs)
-    state_values, input_values, interval = log.states, log.inputs, ""
-    if log.times is not None:
-        rows, step = even_rows(log.times, time_column or "", fill_gaps)
+    fill_gaps = whole_number("fill_gaps", fill_gaps)
+    hold = None if hold is None else whole_number("hold", hold, 1)
+    logs = _read_logs(states, inputs, states_columns, input_columns, time_column, skip_lines)
+    (state_values, state_names), (input_values, input_names), times, time_unit = logs
+    check_same_length(state_values, input_values)
+    interval, notes = "", []
+    if times is not None:
+        rows, step = even_rows(times, time_column or "", fill_gaps)
         state_values, input_values = _spread(state_values, rows), _spread(input_values, rows)
-        interval = f"{step * (hold or 1):.4g} {log.time_unit}" if log.time_unit else ""
-    notes = []
-    state_values, holes = without_gaps(state_values, "states", log.state_names, fill_gaps)
-    input_values, lost = without_gaps(input_values, "input", log.input_names, fill_gaps)
+        interval = f"{step * (hold or 1):.4g} {time_unit}" if time_unit else ""
+    state_values, holes = without_gaps(state_values, "states", state_names, fill_gaps)
+    input_values, lost = without_gaps(input_values, "input", input_names, fill_gaps)
     if holes or lost:
         notes.append(
             f"Filled as --fill-gaps asks: {holes} of {state_values.size} numbers of the states, "
             f"{lost} of {input_values.size} of the input."
         )
-    kept, held = _one_row_a_value(input_values, log.input_names, hold)
+    kept, held = _one_row_a_value(input_values, input_names, hold)
     return Recording(
         state_values[kept],
         input_values[kept],
-        state_names=log.state_names,
-        input_names=log.input_names,
+        state_names=state_names,
+        input_names=input_names,
         sampling=Sampling(hold or 1, interval),
         notes=(*notes, *held),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Log:
-    """What was read, gaps and all.
-
-    Attributes:
-        states: (T, n), NaN where there is no number.
-        inputs: (T, k), the same.
-        state_names: of the columns.
-        input_names: of the columns.
-        times: (T,), None if no column of times is named.
-        time_unit: empty if unknown.
-    """
-
-    states: Float
-    inputs: Float
-    state_names: Sequence[str]
-    input_names: Sequence[str]
-    times: Float | None
-    time_unit: str
-
-
-def _read_log(
+def _read_logs(
     states: Path,
     inputs: Path | None,
     states_columns: str | None,
     input_columns: str | None,
     time_column: str | None,
     skip_lines: int,
-) -> _Log:
+) -> tuple[_Table, _Table, Float | None, str]:
+    """States, input, the times of the rows if a column of them is named, and the times' unit."""
     if inputs is None and states.suffix.lower() == ".npy":
         raise ValueError(
             f"{states}: an input file is needed; only a .npz or a text file can hold both"
         )
+    inputs = inputs or states
     state_log = _open_log(states, skip_lines)
-    same = inputs is None or inputs == states
-    input_log = state_log if same else _open_log(inputs or states, skip_lines)
+    input_log = state_log if inputs == states else _open_log(inputs, skip_lines)
     logs = [log for log in dict.fromkeys((state_log, input_log)) if log is not None]
     for option, given, log in (
         ("--states-columns", states_columns, state_log),
@@ -141,35 +122,27 @@ def _read_log(
     ):
         if given is not None and log is None:
             raise ValueError(f"{option} is for a text file ({', '.join(_TEXT)}), not for an array")
-    times, time_unit, time_of = _read_times(logs, time_column)
-
-    if state_log is not None and state_log is input_log:
-        if input_columns is None:
-            raise ValueError(
-                f"--input-columns: which columns are the input? {state_log.columns}; an input in a "
-                "file of its own is given with --input"
-            )
-        taken = _columns(state_log, input_columns, "--input-columns", time_of[state_log])
-        others = time_of[state_log] + taken
-        chosen = _columns(state_log, states_columns, "--states-columns", others)
-        # Together, so that points and commas are told apart by all of them.
-        both = state_log.numbers([*chosen, *taken])
-        names = [state_log.names[column] for column in (*chosen, *taken)]
-        n = len(chosen)
-        return _Log(both[:, :n], both[:, n:], names[:n], names[n:], times, time_unit)
-    found = []
-    for log, path, what, option, text in (
-        (state_log, states, "states", "--states-columns", states_columns),
-        (input_log, inputs or states, "input", "--input-columns", input_columns),
+    if state_log is not None and state_log is input_log and input_columns is None:
+        raise ValueError(
+            f"--input-columns: which columns are the input? {state_log.columns}; an input in a "
+            "file of its own is given with --input"
+        )
+    times, time_unit, taken = _read_times(logs, time_column)
+    tables: list[_Table] = []
+    # The input first: the states are what it leaves, where both are in one file.
+    for log, path, what, text in (
+        (input_log, inputs, "input", input_columns),
+        (state_log, states, "states", states_columns),
     ):
         if log is None:
             values = _read_array(path, what)
-            found.append((values, [str(number + 1) for number in range(values.shape[1])]))
+            names = [str(number + 1) for number in range(values.shape[1])]
         else:
-            columns = _columns(log, text, option, time_of[log])
-            found.append((log.numbers(columns), [log.names[column] for column in columns]))
-    (state_values, state_names), (input_values, input_names) = found
-    return _Log(state_values, input_values, state_names, input_names, times, time_unit)
+            columns = _columns(log, text, f"--{what}-columns", taken[log])
+            taken[log] += columns
+            values, names = log.numbers(columns), [log.names[column] for column in columns]
+        tables.append((values, names))
+    return tables[1], tables[0], times, time_unit
 
 
 def _open_log(path: Path, skip_lines: int) -> CsvFile | None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from octoarm_agents.analysis.survey import SurveySettings, survey_arm
+from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters, DomainError
 
@@ -58,7 +59,6 @@ def run_sweep(
     parameters: ArmParameters,
     settings: SurveySettings,
     jobs: int = 1,
-    advance: Callable[[SweepPoint], None] | None = None,
 ) -> list[SweepPoint]:
     """Survey the arm at each value, always with the same input.
 
@@ -68,7 +68,6 @@ def run_sweep(
         parameters: the body to start from.
         settings: what to do with each.
         jobs: processes; the result does not depend on it.
-        advance: called with each point when it is done, in the order of the values.
 
     Raises:
         ValueError: an unknown quantity, a value out of its range, or a setting out of its range.
@@ -86,10 +85,10 @@ def run_sweep(
         delayed(_survey_point)(value, *body) for value, body in zip(values, bodies, strict=True)
     )
     points = []
-    for point in Parallel(n_jobs=min(jobs, len(values)), return_as="generator")(tasks):
-        points.append(point)
-        if advance is not None:
-            advance(point)
+    with progress_bar(len(values), quantity) as bar:
+        for point in Parallel(n_jobs=min(jobs, len(values)), return_as="generator")(tasks):
+            points.append(point)
+            bar.update()
     return points
 
 

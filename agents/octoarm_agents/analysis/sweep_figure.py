@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from octoarm_agents.analysis.figure import analysis_figure, degree_colours
 from octoarm_agents.analysis.sweep import QUANTITIES, Quantity, SweepPoint
@@ -41,7 +40,7 @@ def draw_sweep(quantity: Quantity, points: Sequence[SweepPoint]) -> Figure:
     )
     for axes in (memory, processing, ranks, lyapunov, echo):
         _finish_axis(axes, quantity, points)
-    write_letters(figure.axes)
+    write_letters(figure.axes[:-1])
     _write_failures(notes, points)
     return figure
 
@@ -109,14 +108,12 @@ def _finish_axis(axes: Axes, quantity: Quantity, points: Sequence[SweepPoint]) -
         )
     axes.set_xscale("log")
     axes.set_xlim(values[0] / 1.2, values[-1] * 1.2)
-    axes.xaxis.set_major_locator(FixedLocator(values))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, position: f"{value:g}"))
+    axes.set_xticks(values, [f"{value:g}" for value in values])
+    axes.minorticks_off()
     axes.set_xlabel(QUANTITIES[quantity])
 
 
 def _write_failures(axes: Axes, points: Sequence[SweepPoint]) -> None:
-    axes.clear()
     axes.axis("off")
     lines = [
         textwrap.fill(f"× {point.value:g}: {point.failure}", 46)

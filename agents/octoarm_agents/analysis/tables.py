@@ -19,9 +19,9 @@ def measures_table(result: Measures) -> Table:
     recording, rows = result.recording, result.recording.sampling.rows
     states = len(recording.state_names)
     table = _table(f"{len(recording)} {recording.sampling.unit}, {states} states")
-    for kind, columns in (("states", recording.state_names), ("input", recording.input_names)):
-        if not columns[0].isdigit():
-            shown = columns if len(columns) < 3 else (columns[0], "…", columns[-1])
+    for kind, names in (("states", recording.state_names), ("input", recording.input_names)):
+        if not names[0].isdigit():
+            shown = names if len(names) < 3 else (names[0], "…", names[-1])
             table.add_row(kind, escape(", ".join(shown)))
     first, last = memory.training_rows[0] + 1, memory.test_rows[1]
     table.add_row(f"{rows} used (counted from 1)", f"{first} to {last}")
@@ -40,17 +40,9 @@ def measures_table(result: Measures) -> Table:
         "the same, insignificant functions included",
         _sum(result, "information processing capacity, insignificant functions included"),
     )
-    for degree, (value, delay, tried, counted) in enumerate(
-        zip(
-            processing.by_degree,
-            processing.largest_delays_by_degree,
-            processing.targets_by_degree,
-            processing.significant_by_degree,
-            strict=True,
-        ),
-        start=1,
-    ):
-        name = f"  degree {degree}, delays to {delay} ({counted} of {tried} functions count)"
+    columns = processing.by_degree, processing.largest_delays_by_degree, processing.counts
+    for degree, (value, delay, counts) in enumerate(zip(*columns, strict=True), start=1):
+        name = f"  degree {degree}, delays to {delay} ({counts} functions count)"
         table.add_row(name, f"{value:.3f}")
     table.add_row("rank of the states, to rounding", f"{processing.rank}")
     if result.settings.noise:

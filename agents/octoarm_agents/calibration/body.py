@@ -13,35 +13,20 @@ from octoarm_agents.calibration.body_figure import draw_calibration
 from octoarm_agents.calibration.evaluation import Evaluation
 from octoarm_agents.calibration.outcomes import CLOSED_STEPS
 from octoarm_agents.calibration.score import (
-    FAILURE,
-    LARGEST_GAIN,
-    OUTCOME_WEIGHT,
-    SMALLEST_RATIO,
+    SCORE,
     TEACHER_STEPS,
-    WORST_WEIGHT,
     initial_steps,
     measure_task1,
     score_ratios,
 )
-from octoarm_agents.calibration.search import POPULATION, search_bodies
+from octoarm_agents.calibration.search import INITIAL, POPULATION, search_bodies
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
 from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.experiments.emulation.protocol import RANGE, TASKS, check_timestep
 from octoarm_env import Arm, ArmParameters, DomainError
 
-__all__ = ["SCORE", "calibrate_body", "measure_again"]
-
-SCORE = (
-    f"{OUTCOME_WEIGHT:g} (limit cycles that end otherwise than in the paper)"
-    f" + Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task)"
-    f" + Σ max(0, ln({SMALLEST_RATIO:g} / r)),"
-    f" r = mean squared error / that of Table 2, Task 1 at R = {RANGE:g} degrees;"
-    f" from {FAILURE:g} on: the body left its domain"
-)
-
-_INITIAL = 500
-"""T_ini of the search."""
+__all__ = ["calibrate_body", "measure_again"]
 
 
 def calibrate_body(
@@ -54,7 +39,6 @@ def calibrate_body(
     trials: int = 5,
     seed: int = 0,
     jobs: int = 1,
-    progress: bool | None = None,
 ) -> dict[str, Any] | None:
     """Search for the body, and write what was found.
 
@@ -71,7 +55,6 @@ def calibrate_body(
         trials: T_ini with which the best body is measured again.
         seed: of the search.
         jobs: processes.
-        progress: as there.
 
     Returns:
         What ``calibration.json`` holds; None if no body stayed in its domain.
@@ -86,12 +69,10 @@ def calibrate_body(
         spaces,
         evaluations=evaluations,
         file=out / "evaluations.jsonl",
-        initial=_INITIAL,
         amplitudes=amplitudes,
         noise_seeds=noise_seeds,
         seed=seed,
         jobs=jobs,
-        progress=progress,
     )
     best = min(tried, key=lambda evaluation: evaluation.score)
     if best.failure is not None:
@@ -103,16 +84,13 @@ def calibrate_body(
             "evaluations_each_space": evaluations,
             "population": POPULATION,
             "seed": seed,
-            "initial_steps": _INITIAL,
+            "initial_steps": INITIAL,
             "range_degrees": RANGE,
             "amplitudes_degrees": dict(amplitudes or {}),
             "teacher_steps": TEACHER_STEPS if amplitudes else None,
             "noise_seeds": noise_seeds,
             "closed_steps": CLOSED_STEPS if noise_seeds else None,
-            "bounds": {
-                name: {"low": number.low, "high": number.high, "unit": number.unit}
-                for name, number in OPEN_NUMBERS.items()
-            },
+            "bounds": {name: asdict(number) for name, number in OPEN_NUMBERS.items()},
         },
         "best": asdict(best),
         "measured_again": measure_again(body, starts),
@@ -160,12 +138,8 @@ def _summarise(space: SearchSpace, tried: Sequence[Evaluation]) -> dict[str, Any
     mine = [evaluation for evaluation in tried if space.holds(evaluation.body)]
     best = min(mine, key=lambda evaluation: evaluation.score)
     return space.readings | {
-        "search": best.search,
         "tilt": space.tilt,
         "evaluations": len(mine),
         "failures": sum(evaluation.failure is not None for evaluation in mine),
-        "best_score": best.score,
-        "best_outcomes": best.outcomes,
-        "best_ratios": best.ratios if best.failure is None else None,
-        "best_body": best.body,
+        "best": asdict(best),
     }

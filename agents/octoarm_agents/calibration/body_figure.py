@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from octoarm_agents.calibration.evaluation import Evaluation
-from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
+from octoarm_agents.calibration.space import OPEN_NUMBERS, READINGS, SearchSpace
 from octoarm_agents.common.plotting import (
     BLACK,
     BLUE,
@@ -85,9 +85,8 @@ def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:
     failures = [k for k, each in enumerate(tried) if each.failure is not None]
     _draw_failures(axes, failures, label="left its domain" if failures else None)
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
+    axes.set(xlabel="evaluation (line: the best body so far)", ylabel="error / that of Table 2")
     axes.set_yscale("log")
-    axes.set_xlabel("evaluation (line: the best body so far)")
-    axes.set_ylabel("error / that of Table 2")
     axes.legend(fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
 
@@ -132,7 +131,7 @@ def _abscissa(name: str, body: Mapping[str, Any]) -> float:
 def _label(space: SearchSpace, spaces: Sequence[SearchSpace]) -> str:
     """What tells a space from the others."""
     parts = [f"lift {space.lift_scale:+g}"]
-    for name in ("volume_force", "reference_area"):
+    for name in READINGS[1:]:
         if len({getattr(each, name) for each in spaces}) > 1:
-            parts.append(str(getattr(space, name)))
+            parts.append(getattr(space, name))
     return ", ".join(parts)

@@ -39,7 +39,7 @@ def calibrate_cycle(
     noise: float = 0.01,
     seed: int = 1,
     steps: int = CLOSED_STEPS,
-    advance: Callable[[str, int], None] | None = None,
+    advance: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:
     """Find how a readout is taught a cycle, and see whether it holds it.
 
@@ -55,8 +55,7 @@ def calibrate_cycle(
         noise: half width of the noise on the outputs in the trial of a candidate [degrees].
         seed: of the search.
         steps: of the closed loop, at least `WINDOW_STEPS`.
-        advance: called with the stage and what was just done of it: ``"candidates"``, one of
-            `evaluations`; ``"alone"``, physics steps of `steps`.
+        advance: called with the name of the stage and the share of the whole work just done.
 
     Returns:
         What the file holds: ``teaching`` (found), ``tuned_distance`` (in the search's own trial,
@@ -71,36 +70,31 @@ def calibrate_cycle(
         OSError: the folder cannot be written to.
     """
     steps = whole_number("steps", steps, WINDOW_STEPS)
-    report = advance or (lambda stage, count: None)
+    report = advance or (lambda stage, share: None)
+    candidate = 1 / (evaluations + steps / 1000)  # a thousand steps take about as long
     tuned = tune(
         parameters,
         Teaching(target, amplitude, noise=0.0, actuator=actuator),
         evaluations=evaluations,
         noise=noise,
         seed=seed,
-        advance=lambda: report("candidates", 1),
+        advance=lambda: report("candidates", candidate),
     )
     taught = teach(parameters, tuned.teaching)
     loop = ClosedLoop(
         release(parameters, target, amplitude, actuator),
         taught.readout.weights_,
         amplitude,
-        advance=lambda count: report("alone", count),
+        advance=lambda count: report("closed loop", count / 1000 * candidate),
     )
     loop.run(steps)
     cycle = LIMIT_CYCLES[target]
     scores = None
     if loop.failure is None:
-        scores = score_window(
-            loop.outputs[-WINDOW_STEPS:],
-            cycle.orbit(amplitude),
-            cycle.period / parameters.timestep,
-        )
+        turn = cycle.period / parameters.timestep
+        scores = score_window(loop.outputs[-WINDOW_STEPS:], cycle.orbit(amplitude), turn)
     result = {
         "settings": {
-            "target": target,
-            "actuator": actuator,
-            "amplitude_degrees": amplitude,
             "evaluations": evaluations,
             "noise_degrees": noise,
             "seed": seed,
@@ -114,11 +108,7 @@ def calibrate_cycle(
             value if math.isfinite(value) else None for value in taught.exponents.tolist()
         ],
         "training_error_degrees": taught.readout.training_error_,
-        "closed_loop": {
-            "steps": len(loop.outputs),
-            "failure": loop.failure,
-            "scores": scores,
-        },
+        "closed_loop": {"steps": len(loop.outputs), "failure": loop.failure, "scores": scores},
         "record": tuned.record,
         "body": parameters.to_dict(),
         "versions": package_versions("octoarm-env", "octoarm-agents", "cma", "numpy", "scipy"),

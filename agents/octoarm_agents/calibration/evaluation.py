@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from octoarm_agents.common.files import write_text
 
 __all__ = ["Evaluation", "Judgement", "append_evaluations", "read_evaluations"]
 
 
-class Judgement(NamedTuple):
+@dataclass(kw_only=True)
+class Judgement:
     """How well a body does what the paper reports.
 
     Attributes:
@@ -25,14 +27,14 @@ class Judgement(NamedTuple):
             ``part`` of it.
     """
 
-    score: float
-    outcomes: dict[str, list[str]] | None
-    ratios: dict[str, float] | None
-    failure: dict[str, Any] | None
+    score: float = math.nan
+    outcomes: dict[str, list[str]] | None = None
+    ratios: dict[str, float] | None = None
+    failure: dict[str, Any] | None = None
 
 
-@dataclass
-class Evaluation:
+@dataclass(kw_only=True)
+class Evaluation(Judgement):
     """A body that a search tries, and its `Judgement`; until then the score is not a number.
 
     Attributes:
@@ -46,10 +48,6 @@ class Evaluation:
     seed: int
     index: int
     body: dict[str, Any]
-    score: float
-    outcomes: dict[str, list[str]] | None
-    ratios: dict[str, float] | None
-    failure: dict[str, Any] | None
 
 
 def read_evaluations(path: Path) -> list[Evaluation]:

@@ -30,25 +30,17 @@ from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
     TASKS,
-    TEST_STEPS,
-    TRAINING_STEPS,
-    WASHOUT_STEPS,
     Drive,
     check_timestep,
     record_many,
     score_features,
 )
-from octoarm_agents.reservoir.emulation import emulation_targets
-from octoarm_agents.reservoir.inputs import product_of_sines
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
 __all__ = [
     "FAILURE",
-    "LARGEST_GAIN",
-    "OUTCOME_WEIGHT",
-    "SMALLEST_RATIO",
+    "SCORE",
     "TEACHER_STEPS",
-    "WORST_WEIGHT",
     "evaluate_bodies",
     "follow_teachers",
     "initial_steps",
@@ -68,6 +60,15 @@ SMALLEST_RATIO = 0.1
 from an error below the paper's, the weight of the worst task, the ratio below which an error is too
 small."""
 
+SCORE = (
+    f"{OUTCOME_WEIGHT:g} (limit cycles that end otherwise than in the paper)"
+    f" + Σ max(ln r, -{LARGEST_GAIN:g}) + {WORST_WEIGHT:g} max(0, ln r of the worst task)"
+    f" + Σ max(0, ln({SMALLEST_RATIO:g} / r)),"
+    f" r = mean squared error / that of Table 2, Task 1 at R = {RANGE:g} degrees;"
+    f" from {FAILURE:g} on: the body left its domain"
+)
+"""The score in words, for the file of a calibration."""
+
 TEACHER_STEPS = 10_000
 """Steps for which a teacher forces the resting arm: onto the cycle, and several turns of it."""
 
@@ -84,13 +85,7 @@ def initial_steps(trials: int) -> list[int]:
     return [round(value) for value in np.linspace(0, INITIAL_STEPS, trials)]
 
 
-@functools.lru_cache(maxsize=8)
-def _drive(initial: int) -> Drive:
-    """Task 1 with a given T_ini."""
-    rest = WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
-    longest = product_of_sines(INITIAL_STEPS + rest)
-    signal = longest[: initial + rest]
-    return Drive(signal, emulation_targets(signal), initial, float(np.abs(longest).max()))
+_drive = functools.lru_cache(maxsize=8)(Drive.of_sines)
 
 
 def measure_task1(
@@ -177,7 +172,9 @@ def evaluate_bodies(
 
     def fail(index: int, stage: str, part: float, remaining: int, **more: str) -> None:
         failure = {"stage": stage, "part": part} | more
-        results[index] = Judgement(FAILURE + remaining - part, None, ratios.get(index), failure)
+        results[index] = Judgement(
+            score=FAILURE + remaining - part, ratios=ratios.get(index), failure=failure
+        )
         arms.pop(index, None)
 
     ratios: dict[int, dict[str, float]] = {}
@@ -203,5 +200,5 @@ def evaluate_bodies(
         if noise_seeds:
             outcomes = plain_outcomes(bodies[index], noise_seeds)
             score = min(score + OUTCOME_WEIGHT * count_contradictions(outcomes), FAILURE)
-        results[index] = Judgement(score, outcomes, ratios[index], None)
+        results[index] = Judgement(score=score, outcomes=outcomes, ratios=ratios[index])
     return [results[index] for index in range(len(bodies))]

@@ -12,6 +12,7 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +32,15 @@ from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.common.trials import code_digest, share_out
 from octoarm_agents.common.whole import whole_number
 
-__all__ = ["POPULATION", "search_bodies"]
+__all__ = ["INITIAL", "POPULATION", "search_bodies"]
 
 Float = NDArray[np.float64]
 
 POPULATION = 12
 """Candidates of a generation."""
+
+INITIAL = 500
+"""T_ini of Task 1."""
 
 
 def search_bodies(
@@ -44,12 +48,10 @@ def search_bodies(
     *,
     evaluations: int,
     file: Path,
-    initial: int = 500,
     amplitudes: Mapping[str, float] | None = None,
     noise_seeds: int = 0,
     seed: int = 0,
     jobs: int = 1,
-    progress: bool | None = None,
 ) -> list[Evaluation]:
     """Search every space for the body with the lowest score, all at the same pace.
 
@@ -61,12 +63,10 @@ def search_bodies(
         spaces: each is searched by itself; they differ in their readings only.
         evaluations: bodies tried in each space.
         file: of the evaluations; its folder must exist.
-        initial: T_ini of Task 1.
         amplitudes: R by cycle, see `evaluate_bodies`.
         noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
         jobs: processes.
-        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         The evaluations of these searches, in the order in which they are tried.
@@ -83,8 +83,8 @@ def search_bodies(
         raise ValueError("spaces is empty: expected at least one")
     if any(space.base != spaces[0].base for space in spaces):
         raise ValueError("spaces: expected the same base in each")
-    judge = {
-        "initial": initial,
+    judge: dict[str, Any] = {
+        "initial": INITIAL,
         "amplitudes": dict(amplitudes or {}),
         "noise_seeds": noise_seeds,
     }
@@ -92,7 +92,7 @@ def search_bodies(
     searches = [_Search(space, judge, seed, stored) for space in spaces]
     results: list[Evaluation] = []
     with (
-        progress_bar(evaluations * len(spaces), "bodies", shown=progress) as bar,
+        progress_bar(evaluations * len(spaces), "bodies") as bar,
         Parallel(n_jobs=min(jobs, POPULATION * len(spaces))) as parallel,
     ):
         for begin in range(0, evaluations, POPULATION):
@@ -108,7 +108,7 @@ def search_bodies(
                 for share in share_out(len(new), jobs)
             )
             for evaluation, found in zip(new, itertools.chain(*judged), strict=True):
-                evaluation.score, evaluation.outcomes, evaluation.ratios, evaluation.failure = found
+                vars(evaluation).update(vars(found))
             append_evaluations(file, new)
             for search in searches:
                 search.tell()
@@ -156,7 +156,7 @@ class _Search:
             evaluation = self._stored.get(self._count)
             if evaluation is None:
                 evaluation = Evaluation(
-                    self._digest, self._seed, self._count, body, math.nan, None, None, None
+                    search=self._digest, seed=self._seed, index=self._count, body=body
                 )
             elif evaluation.body != body:
                 raise ValueError(
@@ -191,9 +191,9 @@ class _Search:
 def _digest(space: SearchSpace, judge: Mapping[str, Any], seed: int) -> str:
     """Digest of all that a search's evaluations depend on."""
     content = {
-        "space": space.to_dict(),
+        "space": asdict(space),
         "parameters": OPEN_PARAMETERS,
-        "judge": dict(judge),
+        "judge": judge,
         "seed": seed,
         "versions": package_versions("cma", "numpy", "scipy", "scikit-learn"),
         "code": code_digest(__name__),

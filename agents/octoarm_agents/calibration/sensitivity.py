@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -119,11 +119,9 @@ def probe_change(
     for target in LIMIT_CYCLES:
         tried = len(amplitudes)
         steps = follow_teachers([arm] * tried, [target] * tried, amplitudes)
-        largest[target] = None
-        for amplitude, made in zip(amplitudes, steps, strict=True):
-            if made < TEACHER_STEPS:
-                break
-            largest[target] = amplitude
+        failed = [made < TEACHER_STEPS for made in steps]
+        followed = amplitudes[: failed.index(True)] if True in failed else amplitudes
+        largest[target] = followed[-1] if followed else None
     outcomes = plain_outcomes(body, noise_seeds) if noise_seeds else None
     return result | {"task1": task1, "outcomes": outcomes, "largest_amplitudes": largest}
 
@@ -136,7 +134,6 @@ def measure_sensitivity(
     amplitudes: Sequence[float] = AMPLITUDES,
     noise_seeds: int = 2,
     jobs: int = 1,
-    progress: bool | None = None,
 ) -> dict[str, Any]:
     """Move every open parameter alone; write ``sensitivity.json``, ``.png`` and ``.md``.
 
@@ -149,7 +146,6 @@ def measure_sensitivity(
         amplitudes: R of the teachers [degrees].
         noise_seeds: trainings of each limit cycle; 0: none.
         jobs: processes; the results do not depend on it.
-        progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
 
     Returns:
         What ``sensitivity.json`` holds.
@@ -164,21 +160,13 @@ def measure_sensitivity(
         raise ValueError(f"amplitudes = {list(amplitudes)}: expected 0 to 360 degrees, not 0")
     starts = initial_steps(trials)
     changes = changes_of(base)
+    settings = {"starts": starts, "amplitudes": ladder, "noise_seeds": noise_seeds}
     results = run_trials(
         probe_change,
         base,
-        [
-            {
-                "fields": each.fields,
-                "starts": starts,
-                "amplitudes": ladder,
-                "noise_seeds": noise_seeds,
-            }
-            for each in changes
-        ],
+        [{"fields": each.fields} | settings for each in changes],
         folder=out / ".sensitivity-trials",
         jobs=jobs,
-        progress=progress,
         description="bodies",
     )
     result = {
@@ -190,8 +178,7 @@ def measure_sensitivity(
             "noise_seeds": noise_seeds,
         },
         "changes": [
-            {"parameter": each.parameter, "label": each.label, "fields": each.fields} | measured
-            for each, measured in zip(changes, results, strict=True)
+            asdict(each) | measured for each, measured in zip(changes, results, strict=True)
         ],
         "body": base.to_dict(),
         "versions": package_versions("octoarm-env", "octoarm-agents", "numpy", "scikit-learn"),

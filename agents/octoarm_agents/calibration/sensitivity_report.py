@@ -98,24 +98,16 @@ def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:
     changes = result["changes"]
     figure = new_figure(13.0, 1.6 + 0.24 * len(changes))
     panels = figure.subplots(1, len(TASKS) + 1, sharey=True)
-    heights = range(len(changes))
+    found = [change["task1"] and change["task1"]["mean_ratios"] for change in changes]
     for axes, task in zip(panels, TASKS, strict=False):
-        for height, change in zip(heights, changes, strict=True):
-            ratios = change["task1"] and change["task1"]["mean_ratios"]
+        edge = axes.get_yaxis_transform()
+        for height, ratios in enumerate(found):
             if ratios:
                 axes.plot(ratios[task], height, "o", color=TASK_COLOURS[task], markersize=5)
             else:
-                axes.plot(
-                    0.97,
-                    height,
-                    "x",
-                    color=GREY,
-                    transform=axes.get_yaxis_transform(),
-                    markersize=6,
-                )
-        own = changes[0]["task1"] and changes[0]["task1"]["mean_ratios"]
-        if own:
-            axes.axvline(own[task], color=TASK_COLOURS[task], linewidth=0.9)
+                axes.plot(0.97, height, "x", color=GREY, transform=edge, markersize=6)
+        if found[0]:
+            axes.axvline(found[0][task], color=TASK_COLOURS[task], linewidth=0.9)
         axes.axvline(1.0, color=GREY, linestyle=":", linewidth=0.9)
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -125,7 +117,7 @@ def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:
         axes.set_xlabel("error / that of Table 2")
     _draw_amplitudes(panels[-1], changes)
     names = [f"{change['parameter']} {change['label']}".strip() for change in changes]
-    panels[0].set_yticks(heights, names)
+    panels[0].set_yticks(range(len(changes)), names)
     panels[0].set_ylim(len(changes) - 0.3, -0.7)
     write_letters(list(panels))
     for axes in panels:

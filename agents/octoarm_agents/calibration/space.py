@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from octoarm_env import ArmParameters
 
-__all__ = ["OPEN_NUMBERS", "OPEN_PARAMETERS", "OpenNumber", "SearchSpace", "tilt_gravity"]
+__all__ = [
+    "OPEN_NUMBERS",
+    "OPEN_PARAMETERS",
+    "READINGS",
+    "OpenNumber",
+    "SearchSpace",
+    "tilt_gravity",
+]
 
 Float = NDArray[np.float64]
 
@@ -58,7 +65,10 @@ OPEN_NUMBERS: dict[str, OpenNumber] = {
 }
 """By the field of `ArmParameters`."""
 
-OPEN_PARAMETERS = (*OPEN_NUMBERS, "gravity", "lift_scale", "volume_force", "reference_area")
+READINGS = ("lift_scale", "volume_force", "reference_area")
+"""Sign and readings, in which the spaces of a search differ."""
+
+OPEN_PARAMETERS = (*OPEN_NUMBERS, "gravity", *READINGS)
 """Every field that a search may change. (The servo is not part of Task 1.)"""
 
 _TILT = math.pi
@@ -107,12 +117,8 @@ class SearchSpace:
 
     @property
     def readings(self) -> dict[str, Any]:
-        """The signs and readings, in which the spaces of a search differ."""
-        return {
-            "lift_scale": self.lift_scale,
-            "volume_force": self.volume_force,
-            "reference_area": self.reference_area,
-        }
+        """The space's own of `READINGS`."""
+        return {name: getattr(self, name) for name in READINGS}
 
     def holds(self, changes: Mapping[str, Any]) -> bool:
         """Whether a body, told by its open parameters, has the readings of this space."""
@@ -120,10 +126,6 @@ class SearchSpace:
 
     def changes(self, coordinates: Sequence[float] | Float) -> dict[str, Any]:
         """The open parameters of the body at coordinates from 0 to 1, by field."""
-        if len(coordinates) != self.dimension:
-            raise ValueError(
-                f"coordinates has {len(coordinates)} numbers: expected {self.dimension}"
-            )
         values = [float(coordinate) for coordinate in coordinates]
         numbers = {
             name: number.value(value)
@@ -137,16 +139,9 @@ class SearchSpace:
             tilt = min(math.hypot(*across), _TILT)
             azimuth = math.atan2(across[1], across[0])
             strength = math.hypot(*self.base.gravity)
-            gravity = (
-                strength * math.sin(tilt) * math.cos(azimuth),
-                strength * math.sin(tilt) * math.sin(azimuth),
-                strength * math.cos(tilt),
-            )
+            side = strength * math.sin(tilt)
+            gravity = side * math.cos(azimuth), side * math.sin(azimuth), strength * math.cos(tilt)
         return numbers | {"gravity": list(gravity)} | self.readings
-
-    def to_dict(self) -> dict[str, Any]:
-        """All that the bodies at given coordinates depend on, as plain numbers for JSON."""
-        return {"base": self.base.to_dict(), "tilt": self.tilt} | self.readings
 
 
 def tilt_gravity(gravity: Sequence[float], angle: float) -> list[float]:

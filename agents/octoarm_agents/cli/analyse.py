@@ -19,7 +19,7 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
-from octoarm_agents.common.progress import progress_bar, stage_bar
+from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,22 +41,17 @@ app = typer.Typer(
 Out = Annotated[Path, result_folder("analysis.png and analysis.json")]
 MaxDelay = Annotated[int, number("Largest delay of the memory capacity, in rows.", 1, 100_000)]
 Delays = Annotated[
-    str,
-    typer.Option(
-        help="Oldest input in the functions of degree 1, 2, … of the processing capacity, in rows."
-    ),
+    str, typer.Option(help="Oldest input of the processing capacity of degree 1, 2, …, in rows.")
 ]
 Significance = Annotated[
     float, number("Probability that a capacity of nothing counts.", 1e-12, 0.5)
 ]
 Surrogates = Annotated[
-    int,
-    number("Shuffled inputs that the thresholds are from.", 0, 1000, show_default="chi-square"),
+    int, number("Shuffled inputs for the thresholds.", 0, 1000, show_default="chi-square")
 ]
 Training = Annotated[float, number("Share of the rows that the memory readout learns.", 0.1, 0.9)]
 Tolerance = Annotated[
-    float,
-    number("Singular values above this share of the largest count in the ranks.", 1e-12, 0.5),
+    float, number("Share of the largest singular value that counts in the ranks.", 1e-12, 0.5)
 ]
 
 
@@ -67,6 +62,11 @@ def _file(content: str, *names: str, **more: Any) -> Any:
     return typer.Option(*names, help=text, exists=True, dir_okay=False, **more)
 
 
+def _columns(content: str, default: str) -> Any:
+    """Give the option of some columns of a text file."""
+    return typer.Option(help=content, metavar="COLUMNS", show_default=default)
+
+
 @app.command("states")
 def states(
     states_file: Annotated[Path, _file("states", "--states")],
@@ -75,39 +75,19 @@ def states(
     ] = None,
     states_columns: Annotated[
         str | None,
-        typer.Option(
-            help="Columns of a text file that are states, with commas between them: names with or "
-            'without their unit, patterns such as "spring*", or numbers such as 2-81.',
-            show_default="all but input and time",
-        ),
+        _columns('States: names, patterns such as "spring*", numbers such as 2-81.', "all others"),
     ] = None,
     input_columns: Annotated[
-        str | None,
-        typer.Option(
-            help="Columns that are the input, in the states' file if there is no --input.",
-            show_default="all of --input but time",
-        ),
+        str | None, _columns("Input, in the states' file or --input.", "all of --input but time")
     ] = None,
     time_column: Annotated[
-        str | None,
-        typer.Option(
-            help="Column of times, numbers or ISO 8601; missing rows and uneven times are noticed.",
-            show_default="none: rows are taken as evenly spaced",
-        ),
+        str | None, _columns("Times, numbers or ISO 8601.", "none: evenly spaced rows")
     ] = None,
     skip_lines: Annotated[int, number("Lines of a text file before the table.", 0, 10**6)] = 0,
-    fill_gaps: Annotated[
-        int,
-        number("Longest gap that is filled, in rows: states linearly, the input held.", 0, 10**6),
-    ] = 0,
+    fill_gaps: Annotated[int, number("Longest gap that is filled, in rows.", 0, 10**6)] = 0,
     hold: Annotated[
         int | None,
-        number(
-            "Rows that each input value is held for; its last is measured, delays count holds.",
-            1,
-            10**6,
-            show_default="1, refused if a hold is seen",
-        ),
+        number("Rows that an input is held for.", 1, 10**6, show_default="1; more is refused"),
     ] = None,
     out: Out = Path("out/analysis"),
     washout: Annotated[int, number("Rows left out at the begin.", 0, 10**7)] = 100,
@@ -120,10 +100,7 @@ def states(
     surrogates: Surrogates = 0,
     polynomials: Annotated[
         Literal["auto", "legendre", "hermite", "empirical"],
-        typer.Option(
-            help="Polynomials of the input: for a uniform one, a normal one, any one; "
-            "auto tests its distribution."
-        ),
+        typer.Option(help="For a uniform input, a normal one, any one; auto tests it."),
     ] = "auto",
     training: Training = 0.7,
     tolerance: Tolerance = 1e-3,
@@ -179,21 +156,18 @@ def arm(
     body: Body = None,
     actuator: Actuator = "direct",
     amplitude: Annotated[
-        float,
-        number("R: angle of an input of 1.", 0.001, 360.0, "degrees", "--amplitude", "-R"),
+        float, number("R: angle of an input of 1.", 0.001, 360.0, "degrees", "--amplitude", "-R")
     ] = 20.0,
     hold: Annotated[float, number("Seconds that each input value lasts.", 0.002, 10.0, "s")] = 0.05,
     axes: Annotated[
-        Literal["both", "theta"],
-        typer.Option(help="Turn θ and φ by the same angle (Eq. 16), or θ alone."),
+        Literal["both", "theta"], typer.Option(help="Turn θ and φ alike (Eq. 16), or θ alone.")
     ] = "both",
     samples: Annotated[int, number("Input values that are measured.", 400, 10**6)] = 10_000,
     washout: Annotated[int, number("Input values before anything is measured.", 0, 10**6)] = 500,
     max_delay: MaxDelay = 60,
     delays: Delays = "60,25,15,9,6",
     noise: Annotated[
-        float,
-        number("ν: half width of white noise on each length, in metres.", 0.0, 0.01, "metres"),
+        float, number("ν: half width of white noise on each length.", 0.0, 0.01, "metres")
     ] = 0.0,
     significance: Significance = 1e-4,
     surrogates: Surrogates = 0,
@@ -260,10 +234,7 @@ def arm(
         chosen = default_values(sweep, settings)
         if values is not None:
             chosen = _numbers(values, float, "--values")
-        with progress_bar(len(chosen), sweep) as bar:
-            points = run_sweep(
-                sweep, chosen, parameters, settings, processes(jobs), lambda point: bar.update()
-            )
+        points = run_sweep(sweep, chosen, parameters, settings, processes(jobs))
     warnings = [
         f"{sweep} {point.value:g}: {warning}"
         for point in points
@@ -311,9 +282,7 @@ def sensitivity(
         "out/analysis/sensitivity"
     ),
     trials: Annotated[int, number("T_ini over which the errors are averaged.", 1, 1001)] = 3,
-    noise_seeds: Annotated[
-        int, number("Trainings of each limit cycle with the paper's R and ν.", 0, 100)
-    ] = 2,
+    noise_seeds: Annotated[int, number("Trainings of each cycle, as in the paper.", 0, 100)] = 2,
     ranges: Annotated[
         str | None,
         typer.Option(help="R of the teachers in degrees.", show_default="5 to 130 in ten steps"),

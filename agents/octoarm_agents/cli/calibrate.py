@@ -19,7 +19,7 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
-from octoarm_agents.common.progress import progress_bar
+from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,14 +31,10 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-BOTH = "both"
-
 
 @app.command("body")
 def body(
-    evaluations: Annotated[
-        int, number("Bodies tried for each sign and reading, some ten seconds each.", 1, 10**6)
-    ] = 120,
+    evaluations: Annotated[int, number("Bodies tried for each sign and reading.", 1, 10**6)] = 120,
     out: Annotated[
         Path, result_folder("evaluations.jsonl, calibration.json, calibration.png and body.json")
     ] = Path("out/calibrate/body"),
@@ -52,23 +48,13 @@ def body(
         Literal["wetted", "planform", "both"] | None,
         typer.Option(help="Reading of A_r.", show_default="that of the body"),
     ] = None,
-    tilt: Annotated[
-        bool, typer.Option("--tilt", help="Search the direction of gravity too.")
-    ] = False,
+    tilt: Annotated[bool, typer.Option("--tilt", help="Search gravity's direction too.")] = False,
     amplitudes: Annotated[
         str | None,
-        typer.Option(
-            help="Cycles that the body must be able to follow on a direct base, with R in degrees: "
-            "quadratic=60,van_der_pol=45.",
-            show_default="none",
-        ),
+        typer.Option(help="Cycles to follow: quadratic=60,van_der_pol=45.", show_default="none"),
     ] = None,
-    noise_seeds: Annotated[
-        int, number("Trainings of each cycle by the paper; 0: Table 2 alone counts.", 0, 100)
-    ] = 2,
-    trials: Annotated[
-        int, number("T_ini with which the best body is measured again.", 1, 1001)
-    ] = 5,
+    noise_seeds: Annotated[int, number("Trainings of each cycle, as in the paper.", 0, 100)] = 2,
+    trials: Annotated[int, number("T_ini of the best body's last measurement.", 1, 1001)] = 5,
     seed: Seed = 0,
     jobs: Jobs = None,
     arm: Body = None,
@@ -77,7 +63,9 @@ def body(
 
     CMA-ES, from the given body, over the parameters that the paper leaves open and
     nothing else. docs/body.md has their bounds and the score. Signs and readings
-    are searched apart from each other.
+    are searched apart from each other. With --amplitudes, a body must also be able
+    to follow those cycles on a direct base; with --noise-seeds 0, Table 2 alone
+    counts.
 
     Every evaluation is kept in evaluations.jsonl: the same call goes on where
     it was interrupted, one with more --evaluations where it ended.
@@ -124,36 +112,29 @@ def _body_table(result: dict[str, Any]) -> Table:
     columns = []
     for search in result["spaces"]:
         table.add_column(f"lift {search['lift_scale']:+g}", justify="right")
-        outcomes, ratios, score = (search[f"best_{x}"] for x in ("outcomes", "ratios", "score"))
         failures = f"{search['failures']} of {search['evaluations']}"
-        columns.append(_body_column(search["best_body"], outcomes, ratios, score, failures))
+        columns.append(_body_column(search["best"], failures))
     table.add_column("best, measured again", justify="right")
-    best, again = result["best"], result["measured_again"]
-    last = _body_column(
-        best["body"], best["outcomes"], again["mean_ratios"], again["score"], failures=""
-    )
-    for name in last:
-        table.add_row(name, *(column.get(name, "–") for column in (*columns, last)))
+    again = result["measured_again"]
+    measured = {"ratios": again["mean_ratios"], "score": again["score"]}
+    columns.append(_body_column(result["best"] | measured))
+    for name in columns[-1]:
+        table.add_row(name, *(column.get(name, "–") for column in columns))
     return table
 
 
-def _body_column(
-    body: dict[str, Any],
-    outcomes: dict[str, list[str]] | None,
-    ratios: dict[str, float] | None,
-    score: float | None,
-    failures: str,
-) -> dict[str, str]:
-    """What the table says of a body, by row."""
+def _body_column(best: dict[str, Any], failures: str = "") -> dict[str, str]:
+    """What the table says of an evaluation, by row."""
     from octoarm_agents.calibration.outcomes import describe_outcomes
-    from octoarm_agents.calibration.space import OPEN_NUMBERS
+    from octoarm_agents.calibration.space import OPEN_NUMBERS, READINGS
     from octoarm_agents.experiments.emulation.protocol import TASKS
 
-    column = {name: str(body[name]) for name in ("volume_force", "reference_area")}
-    if outcomes is not None:
-        column["outcomes as in the paper"] = describe_outcomes(outcomes)
+    body, ratios = best["body"], best["ratios"]
+    column = {name: str(body[name]) for name in READINGS[1:]}
+    if best["outcomes"] is not None:
+        column["outcomes as in the paper"] = describe_outcomes(best["outcomes"])
     column |= {task: "–" if ratios is None else f"{ratios[task]:.3g}" for task in TASKS}
-    column["score"] = "–" if score is None else f"{score:.3f}"
+    column["score"] = "–" if best["score"] is None else f"{best['score']:.3f}"
     column |= {name: f"{body[name]:.4g}" for name in OPEN_NUMBERS}
     column["gravity"] = " ".join(f"{each:.3g}" for each in body["gravity"])
     return column | {"left their domain": failures}
@@ -163,15 +144,13 @@ def _body_column(
 def cycle(
     target: TargetArgument,
     amplitude: Annotated[
-        float,
-        number("R: largest angle of the target.", 0.1, 360.0, "degrees", "--amplitude", "-R"),
+        float, number("R: its largest angle.", 0.1, 360.0, "degrees", "--amplitude", "-R")
     ],
     out: Annotated[Path, result_folder("TARGET-ACTUATOR.json")] = Path("out/calibrate/cycle"),
     actuator: Actuator = "direct",
     evaluations: Annotated[int, number("Teachings tried.", 8, 10**6)] = 160,
     noise: Annotated[
-        float,
-        number("Half width of noise on the outputs of a trial, at first.", 0.0, 90.0, "degrees"),
+        float, number("Half width of noise on a trial's first outputs.", 0.0, 90.0, "degrees")
     ] = 0.01,
     steps: Annotated[
         int, number("Physics steps in closed loop of the one found.", 10_000, 10**8)
@@ -195,13 +174,7 @@ def cycle(
 
     parameters = read_body(arm)
     try:
-        # A thousand steps count as one candidate: about as long.
-        with refused("--arm"), progress_bar(evaluations + steps // 1000, target) as bar:
-
-            def advance(stage: str, count: int) -> None:
-                bar.set_postfix_str(stage)
-                bar.update(count if stage == "candidates" else count // 1000)
-
+        with refused("--arm"), stage_bar("candidates") as advance:
             result = calibrate_cycle(
                 parameters,
                 target,
@@ -230,8 +203,8 @@ def _cycle_table(result: dict[str, Any]) -> Table:
 
     settings, teaching, loop = (result[name] for name in ("settings", "teaching", "closed_loop"))
     table = Table(
-        title=f"{settings['target']} cycle, {settings['actuator']} base,"
-        f" R = {settings['amplitude_degrees']:g}°",
+        title=f"{teaching['target']} cycle, {teaching['actuator']} base,"
+        f" R = {teaching['amplitude']:g}°",
         show_header=False,
     )
     table.add_column("")
@@ -246,8 +219,8 @@ def _cycle_table(result: dict[str, Any]) -> Table:
     table.add_row("training error", f"{result['training_error_degrees']:.3g}°")
     scores = loop["scores"]
     if scores is None:
-        table.add_row("closed loop", f"lost at step {loop['failure']['step']}")
-        table.add_row("", loop["failure"]["message"])
+        failure = loop["failure"]
+        table.add_row(f"closed loop lost at step {failure['step']}", failure["message"])
     else:
         distances = f"{scores['mean_distance']:.5f} / {scores['max_distance']:.5f}"
         table.add_row(f"mean / max distance after {loop['steps']} steps, in R", distances)
@@ -256,7 +229,7 @@ def _cycle_table(result: dict[str, Any]) -> Table:
 
 
 def _each(choice: str, choices: tuple[str, ...]) -> tuple[str, ...]:
-    return choices if choice == BOTH else (choice,)
+    return choices if choice == "both" else (choice,)
 
 
 def _parse_amplitudes(text: str | None) -> dict[str, float]:

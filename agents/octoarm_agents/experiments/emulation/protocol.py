@@ -75,7 +75,7 @@ PAPER: dict[str, dict[str, tuple[float, float]]] = {
 }
 """Table 2: mean and standard deviation of the mean squared error over 20 trials."""
 
-_LONGEST = INITIAL_STEPS + WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
+_REST = WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +108,19 @@ class Drive:
         """
         random = np.random.default_rng([seed, trial])
         initial = int(random.integers(0, INITIAL_STEPS, endpoint=True))
-        steps = initial + WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
         if kind == "sines":
-            longest = product_of_sines(_LONGEST)
-            signal, peak = longest[:steps], float(np.abs(longest).max())
-        elif kind == "iid":
-            signal, peak = smooth_noise(steps, random, hold=HOLD_STEPS), PEAK
-        else:
-            raise ValueError(f"kind = {kind!r}: expected one of {list(INPUTS)}")
-        return cls(signal, emulation_targets(signal), initial, peak)
+            return cls.of_sines(initial)
+        if kind == "iid":
+            signal = smooth_noise(initial + _REST, random, hold=HOLD_STEPS)
+            return cls(signal, emulation_targets(signal), initial, PEAK)
+        raise ValueError(f"kind = {kind!r}: expected one of {list(INPUTS)}")
+
+    @classmethod
+    def of_sines(cls, initial: int) -> Drive:
+        """Task 1 with a given T_ini, 0 to `INITIAL_STEPS`."""
+        longest = product_of_sines(INITIAL_STEPS + _REST)
+        signal = longest[: initial + _REST]
+        return cls(signal, emulation_targets(signal), initial, float(np.abs(longest).max()))
 
     @property
     def training(self) -> slice:
