@@ -44,10 +44,10 @@ def plain_outcomes(parameters: ArmParameters, seeds: int) -> dict[str, list[str]
         By cycle an outcome a seed: ``"held"``; ``"irregular"``, it goes on but does not hold the
         cycle; ``"lost"``, it came to rest or left its domain, which may be under the teacher.
     """
-    return {target: _outcomes(parameters, target, seeds) for target in CYCLES}
+    with threadpool_limits(limits=1):  # sums split over threads are rounded otherwise
+        return {target: _outcomes(parameters, target, seeds) for target in CYCLES}
 
 
-@threadpool_limits.wrap(limits=1)  # sums split over threads are rounded otherwise
 def _outcomes(parameters: ArmParameters, target: str, seeds: int) -> list[str]:
     teaching = CYCLES[target]["plain"]
     try:
