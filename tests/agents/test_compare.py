@@ -71,6 +71,19 @@ def test_every_agent_is_there(comparison: Comparison, result: dict[str, Any]) ->
         assert len(row["portrait"]) == 120
 
 
+def test_the_summary_has_the_undisturbed_figures(folder: Path, result: dict[str, Any]) -> None:
+    content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    for row, whole in zip(content["rows"], result["rows"], strict=True):
+        assert row["agent"] == whole["agent"]
+        assert row["return"] == {name: whole["return"][name] for name in ("iqm", "low", "high")}
+        assert not {"pushes", "bodies", "curves", "portrait"} & set(row)
+    kept = json.loads(
+        (Path(__file__).parents[2] / "docs/comparison/summary.json").read_text(encoding="utf-8")
+    )
+    assert content.keys() == kept.keys()
+    assert content["rows"][0].keys() == kept["rows"][0].keys()
+
+
 def test_known_agents_measure_as_known(result: dict[str, Any]) -> None:
     rows = {row["agent"]: row for row in result["rows"]}
     assert rows["clock"]["return"]["iqm"] > 119.9

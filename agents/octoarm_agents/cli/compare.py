@@ -12,7 +12,8 @@ from octoarm_agents.cli.options import Jobs, need_extra, number, processes, refu
 __all__ = ["compare"]
 
 Out = Annotated[
-    Path, result_folder("compare.json, compare.md, the figures, and the agents in trained/")
+    Path,
+    result_folder("compare.json, summary.json, compare.md, figures, agents in trained/"),
 ]
 
 
@@ -69,7 +70,7 @@ def compare(
                 earned = row["return"]
                 interval = f"[{earned['low']:.1f}, {earned['high']:.1f}]"
                 typer.echo(f"  {row['agent']:14} {earned['iqm']:6.1f} of 500 {interval}")
-    typer.echo(f"Wrote compare.json, compare.md, the figures and trained/ into {out}.")
+    typer.echo(f"Wrote compare.json, summary.json, compare.md, figures and trained/ into {out}.")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -90,7 +90,7 @@ class Comparison:
 
 
 def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) -> dict[str, Any]:
-    """Train, measure and put side by side; write ``compare.json`` and ``trained/``.
+    """Train, measure and put side by side; write the results and ``trained/``.
 
     Trainings are kept in ``out/runs`` and measurements in ``out/.measured``: the same call goes on
     where it was interrupted.
@@ -137,8 +137,26 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
         ),
     }
     write_json(out / "compare.json", result)
+    write_json(out / "summary.json", undisturbed(result))
     ship(outcomes, comparison.plan, out / "trained")
     return result
+
+
+def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
+    """Give what ``summary.json`` holds: the undisturbed figures, without single trainings."""
+    lists = ("transfer", "bodies", "pushes", "bursts", "noises", "curves", "portrait")
+    rows = [
+        {
+            name: {key: each for key, each in entry.items() if key != "values"}
+            if isinstance(entry, dict)
+            else entry
+            for name, entry in row.items()
+            if name not in (*lists, "training_seeds")
+        }
+        for row in result["rows"]
+    ]
+    kept = {name: result[name] for name in ("command", "settings", "machine", "versions")}
+    return kept | {"rows": rows}
 
 
 def _train_and_measure(
