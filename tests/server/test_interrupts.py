@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -27,13 +27,21 @@ INTERRUPTED, NEXT = np.array([0.5, -0.25]), np.array([-0.125, 0.75])
 """The action that is broken into, and the one after it."""
 
 
+T = TypeVar("T")
+
+
 class Alarm(ValueError):  # noqa: N818
     """What a handler raises: of the kind that the server's refusals are too."""
 
 
-@contextmanager
-def signal_after(seconds: float, error: type[BaseException]) -> Iterator[None]:
-    """Raise an error from a signal's handler; what comes of it ends with the ``with`` block."""
+def interrupted(seconds: float, error: type[BaseException], call: Callable[[], T]) -> T | None:
+    """Call while an error is raised from a signal's handler, if that is before the call ends.
+
+    The error may be raised at any moment in which the signal is awaited, before the call, too.
+
+    Returns:
+        What was returned, or None if the error came first.
+    """
 
     def handler(number: int, frame: FrameType | None) -> None:
         raise error
@@ -42,11 +50,11 @@ def signal_after(seconds: float, error: type[BaseException]) -> Iterator[None]:
     try:
         try:
             signal.setitimer(signal.ITIMER_REAL, seconds)
-            yield
+            return call()
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
     except error:
-        pass
+        return None
     finally:
         signal.signal(signal.SIGALRM, before)
 
@@ -165,8 +173,7 @@ def test_a_signal_at_any_time(
     pair: Pair, call: Callable[[OctoArmEnv], Any], error: type[BaseException]
 ) -> None:
     for microseconds in range(20, 2000, 45):
-        with signal_after(1e-6 * microseconds, error):
-            call(pair.remote)
+        interrupted(1e-6 * microseconds, error, lambda: call(pair.remote))
         calls = [call]
         if call is reset:
             # Seeded, and nothing else yet.
@@ -233,9 +240,11 @@ def test_an_interrupt_while_it_is_made(quiet_server: ServerProcess) -> None:
             if env is not None:
                 env.close()
         for milliseconds in range(1, 40, 4):
-            env = None
-            with signal_after(1e-3 * milliseconds, KeyboardInterrupt):
-                env = gym.make("OctoArmRemote-v0", address=address)
+            env = interrupted(
+                1e-3 * milliseconds,
+                KeyboardInterrupt,
+                lambda: gym.make("OctoArmRemote-v0", address=address),
+            )
             if env is not None:
                 env.close()
 
@@ -249,8 +258,7 @@ def test_an_interrupt_while_it_is_closed(quiet_server: ServerProcess) -> None:
             del env
         for microseconds in range(20, 1000, 100):
             env = RemoteOctoArm(quiet_server.address)
-            with signal_after(1e-6 * microseconds, KeyboardInterrupt):
-                env.close()
+            interrupted(1e-6 * microseconds, KeyboardInterrupt, env.close)
             del env
 
 
