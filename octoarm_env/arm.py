@@ -6,13 +6,12 @@ import dataclasses
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from octoarm_env import _core
 from octoarm_env.arguments import actuator_name, flag, whole_number
+from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
-
-Float = NDArray[np.float64]
 
 
 class Energy(NamedTuple):

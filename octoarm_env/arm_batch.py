@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from octoarm_env import _core
 from octoarm_env.arguments import thread_count, whole_number
 from octoarm_env.arm import Arm, ArmState
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 class BatchRun(NamedTuple):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed
+from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
@@ -22,8 +23,6 @@ from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
 __all__ = ["OctoArmEnv"]
-
-Float = NDArray[np.float64]
 
 
 class EpisodeCore(Protocol):

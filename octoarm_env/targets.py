@@ -5,13 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from octoarm_env import _core
 from octoarm_env.arguments import number, whole_number
+from octoarm_env.arrays import Float
 
-Float = NDArray[np.float64]
 TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
 
 TARGET_NAMES: tuple[TargetName, ...] = ("quadratic", "van_der_pol", "lissajous")

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import generator_seed, thread_count, whole_number
+from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
@@ -28,7 +29,6 @@ from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_w
 from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
-Float = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

@@ -10,11 +10,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from octoarm_env.arrays import Float32
+
 __all__ = ["Strain", "VectorStrain"]
 
 Env = gym.Env[Any, Any]
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
-Float32 = NDArray[np.float32]
 if TYPE_CHECKING:
     _VectorWrapper = gym.vector.VectorWrapper[Any, Any, Any, Any, Any]
 else:  # older Gymnasiums give it no parameters

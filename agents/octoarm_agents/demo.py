@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
@@ -37,10 +36,8 @@ from octoarm_agents.reservoir.closed_loop import (
 from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
+from octoarm_env.arrays import Float
 
-__all__ = ["FORCED_STEPS", "DemoResult", "DemoScores", "DemoSettings", "run_demo"]
-
-Float = NDArray[np.float64]
 Advance = Callable[[str, int], None]
 
 BURST_STEPS = 1_000

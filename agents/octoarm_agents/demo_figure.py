@@ -23,8 +23,6 @@ from octoarm_agents.common.plotting import (
 )
 from octoarm_agents.demo import DemoResult
 
-__all__ = ["draw_demo"]
-
 _AROUND = 2.5
 """Seconds shown of the outputs before the burst and after it."""
 

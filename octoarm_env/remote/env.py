@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from octoarm_env import _core
+from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.remote.connection import Connection
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
 from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
-
-Float = NDArray[np.float64]
 
 _RUNNING, _TERMINATED = 1, 2
 _INFO = ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change")

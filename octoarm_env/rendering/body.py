@@ -8,9 +8,9 @@ from itertools import pairwise, repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_env.arm import Arm
+from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.camera import Stage, View
@@ -19,7 +19,6 @@ from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import HAZE, draw_shadow
 
-Float = NDArray[np.float64]
 Pieces = list[tuple[Any, ...]]
 """Nearness, colour, corners, and the width of a line or 0 for a polygon."""
 

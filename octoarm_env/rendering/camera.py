@@ -9,11 +9,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_env.arguments import whole_number
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 _FIELD_OF_VIEW = 30.0
 """Angle between the upper and the lower edge of the stage [degrees]."""

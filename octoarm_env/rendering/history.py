@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
+
 Flags = NDArray[np.bool_]
 
 LATE = 2.0

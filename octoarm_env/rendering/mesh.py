@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 SIDES = 24
 """Facets around a compartment, a multiple of four."""

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from octoarm_env.arrays import Float
 from octoarm_env.rendering.colours import (
     BASE,
     ORBIT,
@@ -23,7 +23,6 @@ from octoarm_env.rendering.colours import (
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 
-Float = NDArray[np.float64]
 Line = tuple[str, Colour]
 
 _TEXT: Colour = (236, 244, 248)

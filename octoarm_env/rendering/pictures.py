@@ -13,6 +13,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from octoarm_env.arguments import flag
+from octoarm_env.arrays import Float
 from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from octoarm_env.rendering.window import Window
     from octoarm_env.settings import EpisodeSettings
 
-Float = NDArray[np.float64]
 
 _MEMORY = 256_000_000
 """Bytes that the renderers of different arms and targets may take; those used last are kept."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.body import Body
 from octoarm_env.rendering.camera import Camera, View, find_camera, picture_size
@@ -12,8 +13,6 @@ from octoarm_env.rendering.history import History
 from octoarm_env.rendering.panels import Line, Panels, status_lines
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import draw_water
-
-Float = NDArray[np.float64]
 
 _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""

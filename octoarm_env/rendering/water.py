@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from octoarm_env.arrays import Float
 from octoarm_env.rendering.camera import Stage, View
 from octoarm_env.rendering.colours import Colour
 from octoarm_env.rendering.toolkit import pygame
-
-Float = NDArray[np.float64]
 
 _SURFACE = np.array([72.0, 164.0, 188.0])
 _DEEP = np.array([8.0, 42.0, 78.0])

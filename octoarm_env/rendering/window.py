@@ -9,14 +9,12 @@ import weakref
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from octoarm_env.arrays import Float
 from octoarm_env.rendering.camera import CAMERAS, LARGEST
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.renderer import Renderer
 from octoarm_env.rendering.toolkit import pygame
-
-Float = NDArray[np.float64]
 
 _FRAME_TIME = 1 / 60
 """Least time between frames [s]."""

@@ -25,11 +25,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["Capacities", "StateBasis"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 class Capacities(NamedTuple):

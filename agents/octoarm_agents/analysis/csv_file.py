@@ -14,13 +14,10 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
+from octoarm_env.arrays import Float
 
-__all__ = ["CsvFile", "Times"]
-
-Float = NDArray[np.float64]
 Times = tuple[Float, str]
 """Times (T,) from the first on, and their unit, empty if it is not known."""
 

@@ -7,14 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.analysis.states import Recording
 from octoarm_env import Arm, ArmParameters, ArmState
-
-__all__ = ["Drive", "DrivenArm", "record_arm", "state_scales"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 _CHUNK = 200
 """Input values run at a time; bounds the memory for the lengths of every physics step."""

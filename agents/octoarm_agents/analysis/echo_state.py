@@ -7,13 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.analysis.plain import plain
-
-__all__ = ["EchoState", "fit_decay"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 FORGOTTEN = 1e-3
 """The initial states count as forgotten once their distance is this share of what it was."""

@@ -12,8 +12,6 @@ from octoarm_agents.analysis.measures import Measures
 from octoarm_agents.analysis.survey import ArmSurvey
 from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, new_figure, write_letters
 
-__all__ = ["analysis_figure", "degree_colours", "draw_analysis"]
-
 _IMPOSSIBLE = "\nimpossible: see the warnings"
 
 

@@ -13,7 +13,6 @@ from itertools import combinations_with_replacement, groupby, islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import Capacities, StateBasis
 from octoarm_agents.analysis.memory_capacity import delayed_inputs
@@ -26,11 +25,7 @@ from octoarm_agents.analysis.polynomials import (
 )
 from octoarm_agents.analysis.states import Recording
 from octoarm_agents.common.whole import whole_number
-
-__all__ = ["InformationProcessingCapacity", "count_targets", "information_processing_capacity"]
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
+from octoarm_env.arrays import Float, Integer
 
 MAXIMUM_TARGETS = 1_000_000
 

@@ -11,14 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.benettin import stretch_factors
+from octoarm_env.arrays import Float
 
-__all__ = ["LyapunovExponent", "largest_lyapunov_exponent"]
-
-Float = NDArray[np.float64]
 Step = Callable[[Float, int], Float]
 
 

@@ -6,9 +6,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from octoarm_agents.analysis.capacity import StateBasis
 from octoarm_agents.analysis.information_processing_capacity import (
     InformationProcessingCapacity,
@@ -18,10 +15,8 @@ from octoarm_agents.analysis.memory_capacity import MemoryCapacity, memory_capac
 from octoarm_agents.analysis.polynomials import Family, correlated_inputs
 from octoarm_agents.analysis.rank import numerical_rank, participation_ratio
 from octoarm_agents.analysis.states import Recording
+from octoarm_env.arrays import Float
 
-__all__ = ["Advance", "MeasureSettings", "Measures", "measure"]
-
-Float = NDArray[np.float64]
 Advance = Callable[[str, float], None]
 """Called with the name of the stage and the share of the whole work just done."""
 

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.analysis.capacity import StateBasis
 from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.states import Recording
 from octoarm_agents.common.whole import whole_number
-
-__all__ = ["MemoryCapacity", "delayed_inputs", "memory_capacity"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["plain"]
-
 
 def plain(result: Any) -> dict[str, Any]:
     """The fields of a dataclass and of those in it by their names, arrays as lists."""

@@ -7,17 +7,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial import hermite_e, legendre
-from numpy.typing import NDArray
 
-__all__ = [
-    "Family",
-    "InputDistribution",
-    "correlated_inputs",
-    "describe_input",
-    "orthonormal_polynomials",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 Family = Literal["legendre", "hermite", "empirical"]
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["SeparationRanks", "numerical_rank", "participation_ratio", "separation_ranks"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 def participation_ratio(singular_values: Float) -> float:

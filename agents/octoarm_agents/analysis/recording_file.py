@@ -25,10 +25,8 @@ from octoarm_agents.analysis.states import (
     name_column,
 )
 from octoarm_agents.common.whole import whole_number
+from octoarm_env.arrays import Float
 
-__all__ = ["read_recording"]
-
-Float = NDArray[np.float64]
 _Table = tuple[Float, list[str]]
 """Values (T, k), NaN where there is no number, and the names of the columns."""
 

@@ -9,11 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.analysis.states import describe_gaps, name_column
-
-__all__ = ["even_rows", "held_rows", "last_rows_of_holds", "without_gaps"]
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
+from octoarm_env.arrays import Float, Integer
 
 TIME_TOLERANCE = 0.2
 """How far an interval may be from the median one, or from a multiple of it, as a share of it."""

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["Recording", "Sampling", "as_table", "check_same_length", "describe_gaps", "name_column"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 SAMPLES_A_STATE = 5
 """Least number of samples for each state. A fit of n weights to T samples explains n / T of pure

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from octoarm_agents.analysis.drive import Drive, DrivenArm, record_arm, state_scales
@@ -17,10 +16,7 @@ from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.rank import SeparationRanks, separation_ranks
 from octoarm_agents.common.whole import whole_fields
 from octoarm_env import ArmParameters
-
-__all__ = ["ArmSurvey", "SurveySettings", "survey_arm"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 _SCALE_HOLDS = 100
 """Holds over which the natural sizes of the state's components are measured."""

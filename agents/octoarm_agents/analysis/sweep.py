@@ -11,8 +11,6 @@ from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters, DomainError
 
-__all__ = ["QUANTITIES", "Quantity", "SweepPoint", "default_values", "run_sweep"]
-
 Quantity = Literal["stiffness", "damping", "drag", "range"]
 
 QUANTITIES: dict[Quantity, str] = {

@@ -13,8 +13,6 @@ from octoarm_agents.analysis.figure import analysis_figure, degree_colours
 from octoarm_agents.analysis.sweep import QUANTITIES, Quantity, SweepPoint
 from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, write_letters
 
-__all__ = ["draw_sweep"]
-
 
 def draw_sweep(quantity: Quantity, points: Sequence[SweepPoint]) -> Figure:
     """Draw memory, capacities, ranks, Lyapunov exponent and decay time; failures as crosses."""

@@ -10,8 +10,6 @@ from octoarm_agents.analysis.measures import Measures
 from octoarm_agents.analysis.survey import ArmSurvey
 from octoarm_agents.analysis.sweep import Quantity, SweepPoint
 
-__all__ = ["measures_table", "survey_table", "sweep_table"]
-
 
 def measures_table(result: Measures) -> Table:
     """The measures of a recording."""

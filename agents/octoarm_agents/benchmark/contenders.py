@@ -12,7 +12,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
-from numpy.typing import NDArray
 
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
 from octoarm_agents.benchmark.turns import Contender, fitted, has_mujoco, timed
@@ -26,27 +25,7 @@ from octoarm_env import (
     TeacherPolicy,
     instruction_set,
 )
-
-__all__ = [
-    "ARM",
-    "ARM_DRY",
-    "ARM_SERVO",
-    "ARM_STEP",
-    "ASYNC",
-    "ENV_BARE",
-    "ENV_MADE",
-    "SYNC",
-    "TWIN",
-    "batch_name",
-    "dry_body",
-    "elsewhere_name",
-    "make_contenders",
-    "other_instruction_sets",
-    "ringing_twin",
-    "vector_name",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 FIGURE = "microseconds_per_arm_step"
 TIMESTEP = 0.001

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from octoarm_env import ArmParameters
 
-__all__ = ["MujocoTwin"]
 
 _DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
 """Unit vectors of the springs i = 1..4 in the frame of their plane."""

@@ -31,8 +31,6 @@ from octoarm_agents.benchmark.turns import (
 )
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 
-__all__ = ["MUJOCO", "OFF", "ON", "SIZES", "measure_pictures", "picture_name", "step_name"]
-
 Size = tuple[int, int]
 
 SIZES: tuple[Size, ...] = ((160, 120), (320, 240), (640, 480), (1280, 960))

@@ -27,8 +27,6 @@ from octoarm_agents.benchmark.turns import Advance, Comparison, Contender, Resul
 from octoarm_agents.common.serving import ServerProcess, find_program
 from octoarm_env import OctoArmEnv
 
-__all__ = ["DEEPMIND", "LOCAL", "REMOTE", "LoadError", "load_name", "measure_server"]
-
 SERVER = "octoarm-server"
 SLEEPING = "octoarm-server --busy-poll 0"
 

@@ -34,8 +34,6 @@ from octoarm_agents.benchmark.turns import (
 )
 from octoarm_env import OctoArmVectorEnv, instruction_set
 
-__all__ = ["comparisons", "measure_memory", "measure_speed"]
-
 MEMORY_ENVS = 4096
 
 

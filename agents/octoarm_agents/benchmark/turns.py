@@ -18,18 +18,6 @@ from typing import Any
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_number
 
-__all__ = [
-    "NOT_INSTALLED",
-    "Comparison",
-    "Contender",
-    "Result",
-    "Spread",
-    "fitted",
-    "has_mujoco",
-    "take_turns",
-    "timed",
-]
-
 NOT_INSTALLED = 'not installed: pip install "octoarm-agents[benchmark]"'
 
 _SHORTEST = 0.001

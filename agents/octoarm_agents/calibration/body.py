@@ -26,8 +26,6 @@ from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.experiments.emulation.protocol import RANGE, TASKS, check_timestep
 from octoarm_env import Arm, ArmParameters, DomainError
 
-__all__ = ["calibrate_body", "measure_again"]
-
 
 def calibrate_body(
     spaces: Sequence[SearchSpace],

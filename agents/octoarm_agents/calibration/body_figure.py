@@ -28,8 +28,6 @@ from octoarm_agents.common.plotting import (
     write_letters,
 )
 
-__all__ = ["draw_calibration"]
-
 _SPACE_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, GREY)
 
 _PANELS = 3

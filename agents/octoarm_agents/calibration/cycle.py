@@ -22,8 +22,6 @@ from octoarm_agents.reservoir.teaching import TIME_SCALES, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 
-__all__ = ["CLOSED_STEPS", "calibrate_cycle"]
-
 CLOSED_STEPS = 100_000
 """Steps for which the loop found is run, undisturbed."""
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from octoarm_agents.common.files import write_text
 
-__all__ = ["Evaluation", "Judgement", "append_evaluations", "read_evaluations"]
-
 
 @dataclass(kw_only=True)
 class Judgement:

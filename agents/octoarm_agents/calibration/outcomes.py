@@ -18,14 +18,6 @@ from octoarm_agents.reservoir.cycles import CYCLES
 from octoarm_agents.reservoir.teaching import Lesson
 from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 
-__all__ = [
-    "CLOSED_STEPS",
-    "PAPER_OUTCOMES",
-    "count_contradictions",
-    "describe_outcomes",
-    "plain_outcomes",
-]
-
 CLOSED_STEPS = 30_000
 """Steps of each closed loop: 23 to 48 turns. (The paper's run for 1,000,000.)"""
 

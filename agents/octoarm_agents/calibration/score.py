@@ -37,17 +37,6 @@ from octoarm_agents.experiments.emulation.protocol import (
 )
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 
-__all__ = [
-    "FAILURE",
-    "SCORE",
-    "TEACHER_STEPS",
-    "evaluate_bodies",
-    "follow_teachers",
-    "initial_steps",
-    "measure_task1",
-    "score_ratios",
-]
-
 FAILURE = 50.0
 """A score from here on is that of a body that left its domain; ln r sums up to 10 where the readout
 gives no more than the linear regressor of Table 2."""

@@ -18,7 +18,6 @@ from typing import Any
 
 import cma
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.calibration.evaluation import (
     Evaluation,
@@ -31,10 +30,7 @@ from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.common.trials import code_digest, share_out
 from octoarm_agents.common.whole import whole_number
-
-__all__ = ["INITIAL", "POPULATION", "search_bodies"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 POPULATION = 12
 """Candidates of a generation."""

@@ -19,8 +19,6 @@ from octoarm_agents.common.trials import run_trials
 from octoarm_agents.experiments.emulation.protocol import RANGE, check_timestep
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
-__all__ = ["AMPLITUDES", "Change", "changes_of", "measure_sensitivity", "probe_change"]
-
 AMPLITUDES = (5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
 """R of the teachers tried; 90, 130 and 10 are the paper's for its three cycles [degrees]."""
 

@@ -23,8 +23,6 @@ from octoarm_agents.common.plotting import (
 from octoarm_agents.experiments.emulation.protocol import TASKS
 from octoarm_env import LIMIT_CYCLES
 
-__all__ = ["draw_sensitivity", "sensitivity_markdown"]
-
 _LEAVES = "leaves its domain"
 _CYCLE_MARKS = (("o", BLUE), ("s", VERMILLION), ("D", GREEN))
 

@@ -8,20 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_env import ArmParameters
-
-__all__ = [
-    "OPEN_NUMBERS",
-    "OPEN_PARAMETERS",
-    "READINGS",
-    "OpenNumber",
-    "SearchSpace",
-    "tilt_gravity",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 @dataclass(frozen=True)

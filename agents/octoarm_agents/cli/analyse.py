@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from octoarm_agents.analysis.survey import ArmSurvey, SurveySettings
     from octoarm_env import ArmParameters
 
-__all__ = ["app"]
 
 Number = TypeVar("Number", int, float)
 

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-__all__ = ["benchmark"]
 
 Seconds = Annotated[
     float, number("Measuring time, all contenders together.", 0.1, 3600.0, "seconds")

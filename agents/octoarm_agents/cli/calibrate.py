@@ -24,7 +24,6 @@ from octoarm_agents.common.progress import stage_bar
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["app"]
 
 app = typer.Typer(
     help="Search for what the paper leaves open: the body, and how each cycle is taught.",

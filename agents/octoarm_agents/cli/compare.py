@@ -9,8 +9,6 @@ import typer
 
 from octoarm_agents.cli.options import Jobs, need_extra, number, processes, refused, result_folder
 
-__all__ = ["compare"]
-
 Out = Annotated[
     Path,
     result_folder("compare.json, summary.json, compare.md, figures, agents in trained/"),

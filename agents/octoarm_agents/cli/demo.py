@@ -65,8 +65,9 @@ def demo(
     from rich.console import Console
 
     from octoarm_agents.common.files import write_atomically, write_json
-    from octoarm_agents.demo import FORCED_STEPS, DemoSettings, run_demo
+    from octoarm_agents.demo import DemoSettings, run_demo
     from octoarm_agents.demo_figure import draw_demo
+    from octoarm_agents.reservoir.closed_loop import FORCED_STEPS
     from octoarm_agents.reservoir.cycles import CYCLES, PAPER_BURSTS
 
     parameters = read_body(arm)

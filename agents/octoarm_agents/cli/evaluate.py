@@ -19,8 +19,6 @@ from octoarm_agents.cli.options import (
 )
 from octoarm_agents.cli.policy_names import POLICY_HELP, find_policy
 
-__all__ = ["evaluate"]
-
 
 def evaluate(
     policies: Annotated[list[str], typer.Argument(help=POLICY_HELP, show_default=False)],

@@ -16,31 +16,6 @@ import typer
 if TYPE_CHECKING:
     from octoarm_env import ArmParameters
 
-__all__ = [
-    "Actuator",
-    "Algorithm",
-    "Amplitude",
-    "Body",
-    "EpisodeSeed",
-    "EpisodeSteps",
-    "Jobs",
-    "NoiseSize",
-    "OtherBody",
-    "PushSize",
-    "Seed",
-    "Target",
-    "TargetArgument",
-    "need_extra",
-    "number",
-    "output_file",
-    "output_folder",
-    "processes",
-    "read_body",
-    "refused",
-    "result_file",
-    "result_folder",
-]
-
 
 def number(help: str, low: float, high: float, unit: str = "", *names: str, **more: Any) -> Any:
     """Give an option of a number between `low` and `high`, both allowed.

@@ -12,7 +12,6 @@ from octoarm_agents.cli.options import number
 if TYPE_CHECKING:
     from octoarm_env.rendering import Camera
 
-__all__ = ["CameraName", "Exaggeration", "PictureSide", "Speed", "Zoom", "make_camera"]
 
 PictureSide = Annotated[int, number("Pixels.", 64, 4096, "pixels")]
 CameraName = Annotated[

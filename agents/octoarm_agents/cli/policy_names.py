@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from octoarm_agents.policies.rollout import PolicyPredictor
     from octoarm_env import ArmParameters, OctoArmVectorEnv
 
-__all__ = ["POLICY_HELP", "NamedPolicy", "PolicyName", "find_policy"]
 
 POLICY_HELP = (
     "File of an agent (.npz), AGENT/TARGET for one that comes along, or clock/TARGET, hold/TARGET."

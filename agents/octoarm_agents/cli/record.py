@@ -29,8 +29,6 @@ from octoarm_agents.cli.pictures import (
 from octoarm_agents.cli.policy_names import PolicyName, find_policy
 from octoarm_agents.common.progress import progress_bar
 
-__all__ = ["record"]
-
 _KINDS = (".mp4", ".gif", ".png", ".rrd")
 
 

@@ -23,8 +23,6 @@ from octoarm_agents.cli.options import (
 )
 from octoarm_agents.common.progress import progress_bar
 
-__all__ = ["train"]
-
 _STEPS = "Environment steps of all environments; more of them with --resume extend a training."
 _OUT = "Folder for the policies, the model, the curve and the checkpoint."
 _RESUME = "Go on from the folder's checkpoint where there is one."

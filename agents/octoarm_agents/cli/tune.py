@@ -9,8 +9,6 @@ import typer
 
 from octoarm_agents.cli.options import Algorithm, Seed, need_extra, number, output_folder
 
-__all__ = ["tune"]
-
 _TRIALS = "Trials, those of an earlier call included."
 _STEPS = "Environment steps of each training of a trial."
 _OUT = "Folder for study.json, with every trial, and ALGORITHM.yml, the best."

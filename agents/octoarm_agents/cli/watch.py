@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from octoarm_agents.viewing.episode import Episode
     from octoarm_env.rendering import Camera
 
-__all__ = ["watch"]
 
 _BY_HAND = 60_000
 """Steps of an episode that the mouse leads, ten minutes."""

@@ -12,17 +12,6 @@ from gymnasium.vector import AutoresetMode
 
 from octoarm_env import LIMIT_CYCLES, ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
-__all__ = [
-    "ENV_ID",
-    "SETTINGS",
-    "TARGETS",
-    "check_spaces",
-    "decode_body",
-    "differences",
-    "inspect_env",
-    "make_vector_env",
-]
-
 Env = gym.Env[Any, Any]
 
 ENV_ID = "OctoArm-v0"

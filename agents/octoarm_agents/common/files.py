@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["atomic_file", "write_atomically", "write_json", "write_text"]
-
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:

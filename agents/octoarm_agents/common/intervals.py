@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["bootstrap_interval", "format_range", "interquartile_mean", "summarise", "welch_p_value"]
-
 _RESAMPLES = 10_000
 _CONFIDENCE = 0.95
 

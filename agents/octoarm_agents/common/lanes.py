@@ -6,13 +6,10 @@ import copy
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_env import Arm, ArmBatch, DomainError
+from octoarm_env.arrays import Float
 
-__all__ = ["LANES", "Recording", "record_arms"]
-
-Float = NDArray[np.float64]
 Recording = Float | DomainError
 
 LANES = 8

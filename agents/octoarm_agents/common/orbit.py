@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["is_held", "orbit_distance", "steps_to_return", "turn_time", "upward_crossings"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 _CHUNK = 1024
 """Points treated at a time, so that the table of all distances stays small."""

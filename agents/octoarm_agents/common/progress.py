@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["progress_bar", "stage_bar"]
 
 _INTERVAL = 30.0
 """Between two lines of a log [s]; what takes less time writes none."""

@@ -10,8 +10,6 @@ from typing import Any
 
 import octoarm_env
 
-__all__ = ["describe_machine", "package_versions"]
-
 
 def describe_machine() -> dict[str, Any]:
     """Operating system, Python, processor and the instruction set that the physics chose."""

@@ -14,8 +14,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-__all__ = ["INSTALL", "ServerNotFoundError", "ServerProcess", "find_program"]
-
 INSTALL = "in a checkout of the project: pip install ./rust/server (or cargo build --release)"
 _ADDRESS = re.compile(r"^octoarm-server listening on (?P<scheme>https?)://(?P<address>\S+)$")
 _METRICS = re.compile(r"^octoarm-server metrics on (?P<url>\S+)$")

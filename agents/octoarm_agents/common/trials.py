@@ -18,8 +18,6 @@ from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.common.whole import whole_number
 from octoarm_env import ArmParameters, _core
 
-__all__ = ["code_digest", "run_trials", "share_out"]
-
 Trial = Callable[..., dict[str, Any]]
 Settings = Mapping[str, Any]
 Record = Callable[[ArmParameters, Sequence[Settings]], Sequence[Any]]

@@ -6,8 +6,6 @@ from typing import Any
 
 from octoarm_env import arguments
 
-__all__ = ["whole_fields", "whole_number"]
-
 
 def whole_number(name: str, value: Any, low: int = 0) -> int:
     """Give a whole number, Python's or NumPy's, as Python's.

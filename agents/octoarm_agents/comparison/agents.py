@@ -24,8 +24,6 @@ from octoarm_agents.policies.evaluation import (
 from octoarm_agents.reservoir import Readout, ReadoutPolicy, train_policy
 from octoarm_env import ArmParameters
 
-__all__ = ["AGENTS", "NETWORKS", "READOUTS", "TRAINED", "TrainingRun", "make_agent", "train_all"]
-
 READOUTS = ("readout_pinv", "readout_ridge")
 NETWORKS = ("ppo", "sac", "tqc", "recurrent_ppo")
 TRAINED = (*READOUTS, "linear_search", *NETWORKS)

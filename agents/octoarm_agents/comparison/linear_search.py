@@ -14,7 +14,6 @@ from typing import Any
 import cma
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from octoarm_agents.common.environment import inspect_env, make_vector_env
 from octoarm_agents.common.whole import whole_fields
@@ -22,10 +21,7 @@ from octoarm_agents.policies import Network, Policy
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
 from octoarm_agents.policies.rollout import roll_out
 from octoarm_env import OctoArmEnv, OctoArmVectorEnv
-
-__all__ = ["LinearSearch", "search_linear"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 @dataclass(frozen=True)

@@ -16,18 +16,6 @@ from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
 from octoarm_env import ArmParameters
 
-__all__ = [
-    "BODIES",
-    "BURSTS",
-    "NOISES",
-    "PUSHES",
-    "AgentTest",
-    "TestPlan",
-    "changed_body",
-    "inference_time",
-    "measure_agent",
-]
-
 PUSHES = (5.0, 10.0, 20.0)
 """Sizes of the push of the base [degrees]; a quarter, a half, all of the amplitude."""
 

@@ -27,8 +27,6 @@ from octoarm_agents.common.plotting import (
 )
 from octoarm_env import LIMIT_CYCLES
 
-__all__ = ["draw_all"]
-
 Row = Mapping[str, Any]
 
 _LOOKS = {

@@ -11,8 +11,6 @@ from octoarm_agents.comparison.measuring import NOISES, PUSHES, AgentTest, TestP
 from octoarm_agents.policies.rollout import Noise, Push
 from octoarm_env import ArmParameters
 
-__all__ = ["map_readout", "map_settings"]
-
 _ACTION_NOISES = (0.01, 0.05, 0.1)
 """κ, half widths of the noise on the teacher's actions."""
 

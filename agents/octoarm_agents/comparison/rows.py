@@ -16,8 +16,6 @@ from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import acting
 from octoarm_env import ArmParameters, OctoArmVectorEnv
 
-__all__ = ["REACHED", "Outcome", "combined", "make_rows", "summary"]
-
 REACHED = 0.97
 """Share of the readout's return that counts as reaching it."""
 

@@ -11,8 +11,6 @@ from octoarm_agents.common.provenance import package_versions
 from octoarm_agents.comparison.measuring import TestPlan
 from octoarm_agents.comparison.rows import Outcome
 
-__all__ = ["ship"]
-
 
 def ship(outcomes: Sequence[Outcome], plan: TestPlan, folder: Path) -> None:
     """Copy of every agent and target the training that the judging seeds favour; list them."""

@@ -32,8 +32,6 @@ from octoarm_agents.comparison.rows import REACHED, Outcome, combined, make_rows
 from octoarm_agents.comparison.shipping import ship
 from octoarm_env import ArmParameters, OctoArmEnv
 
-__all__ = ["Comparison", "compare"]
-
 
 @dataclass(frozen=True)
 class Comparison:

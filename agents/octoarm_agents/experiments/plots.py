@@ -12,14 +12,6 @@ from matplotlib.figure import Figure
 
 from octoarm_agents.common.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
-__all__ = [
-    "SPRING_COLOURS",
-    "compartment_colours",
-    "explain_below",
-    "number_compartments",
-    "say_missing",
-]
-
 SPRING_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION)
 """Of springs 1 to 4 of a compartment."""
 

@@ -22,15 +22,6 @@ from octoarm_env import ArmParameters
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Experiment",
-    "RefusedError",
-    "RunSettings",
-    "load_experiment",
-    "reproduce",
-    "round_numbers",
-]
-
 
 class RefusedError(ValueError):
     """An experiment cannot be run with this body or these settings; the message says why.

@@ -6,14 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = [
-    "ResultTable",
-    "format_count",
-    "format_number",
-    "format_spread",
-    "observation_table",
-]
-
 
 @dataclass(frozen=True)
 class ResultTable:

@@ -13,8 +13,6 @@ from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import HoldPolicy, Noise, PolicyPredictor, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
-__all__ = ["JUDGED_EPISODES", "JUDGING_SEED", "TRIVIAL", "Trivial", "acting", "evaluate_policy"]
-
 JUDGING_SEED = 20_000
 """First seed of the episodes that choose the best policy of a training; neither trained nor
 compared on."""

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from octoarm_agents.policies.policy import Policy
 
-__all__ = ["TRAINED_FOLDER", "load_policy", "load_trained", "trained_agents"]
-
 TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
 """A folder for each target, and the scores of all in trained.json."""
 

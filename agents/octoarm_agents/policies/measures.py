@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.policies.rollout import Rollout
-
-__all__ = ["ON_ORBIT", "orbit_measures", "orbit_series", "recovery", "tracking_measures"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 ON_ORBIT = 0.1
 """Distance from the target orbit, in amplitudes, within which an arm counts as on it."""

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACTIVATIONS", "OUTPUTS", "Lstm", "Network", "State"]
-
 Numbers = NDArray[np.floating[Any]]
 State = tuple[Numbers, Numbers]
 """The memory of n episodes, (hidden, cell), both (n, H)."""

@@ -22,8 +22,6 @@ from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.policy_file import read_policy_file, write_policy_file
 from octoarm_env import ArmParameters
 
-__all__ = ["Policy"]
-
 
 class Policy:
     """Acts by a readout or a trained network; signature of a stable-baselines3 policy.

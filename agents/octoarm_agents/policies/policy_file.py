@@ -20,8 +20,6 @@ from octoarm_agents.common.environment import ENV_ID
 from octoarm_agents.common.files import write_atomically
 from octoarm_agents.common.provenance import package_versions
 
-__all__ = ["read_policy_file", "write_policy_file"]
-
 FORMATS = ("octoarm-policy", "octoarm-network")
 """What is written, and what networks of before are called; for both this is version `VERSION`."""
 

@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_fields, whole_number
 from octoarm_env import OctoArmVectorEnv
-
-__all__ = ["Episodes", "HoldPolicy", "Noise", "PolicyPredictor", "Push", "Rollout", "roll_out"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 class PolicyPredictor(Protocol):

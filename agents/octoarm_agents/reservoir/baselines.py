@@ -12,21 +12,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.reservoir.inputs import PEAK
+from octoarm_env.arrays import Float
 
-__all__ = [
-    "BASELINES",
-    "ESN_SETTINGS",
-    "cubic",
-    "delay_features",
-    "delayed_polynomial",
-    "echo_state_network",
-    "linear",
-]
-
-Float = NDArray[np.float64]
 Features = Callable[[Float, np.random.Generator], Float]
 
 DELAYS = {2: tuple(range(0, 201, 20)), 3: tuple(range(0, 201, 40))}

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["stretch_factors"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 def stretch_factors(

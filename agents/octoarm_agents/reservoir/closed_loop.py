@@ -12,25 +12,11 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.common.whole import whole_number
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
-
-__all__ = [
-    "FORCED_STEPS",
-    "JUMP",
-    "REST",
-    "WINDOW_STEPS",
-    "ClosedLoop",
-    "describe_domain_error",
-    "recovery_steps",
-    "release",
-    "score_window",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 FORCED_STEPS = 5_000
 """Steps for which the teacher forces the resting arm before the loop is closed."""

@@ -4,16 +4,6 @@ from __future__ import annotations
 
 from octoarm_agents.reservoir.teaching import Teaching
 
-__all__ = [
-    "BURSTS",
-    "CYCLES",
-    "CYCLE_LABELS",
-    "NEIGHBOURS",
-    "PAPER_BURSTS",
-    "PAPER_FINDINGS",
-    "TRAININGS",
-]
-
 TRAININGS = ("plain", "weighted")
 
 CYCLES: dict[str, dict[str, Teaching]] = {

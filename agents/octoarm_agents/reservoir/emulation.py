@@ -9,20 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.reservoir.inputs import TIMESTEP
-
-__all__ = [
-    "SYSTEMS",
-    "VOLTERRA_DELAYS",
-    "emulation_targets",
-    "second_order",
-    "tenth_order",
-    "volterra",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 VOLTERRA_DELAYS = 201
 """τ runs from 0 to 200 timesteps in Eq. 22."""

@@ -24,15 +24,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.benettin import stretch_factors
 from octoarm_agents.reservoir.teacher import POINTS, TeacherRun
-
-__all__ = ["floquet_exponents"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 _CHUNK = 5
 """Steps between two orthonormalisations."""

@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.whole import whole_number
-
-__all__ = ["FREQUENCIES", "PEAK", "TIMESTEP", "base_angles", "product_of_sines", "smooth_noise"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 TIMESTEP = 0.001
 """dt of Eqs. 17 and 23 [s]; the arm of every experiment makes one physics step in it."""

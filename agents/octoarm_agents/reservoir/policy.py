@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.environment import ENV_ID, check_spaces, inspect_env
 from octoarm_agents.common.whole import whole_number
@@ -16,11 +15,9 @@ from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.policy import Policy
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import TeacherPolicy
-
-__all__ = ["ReadoutPolicy", "readout_network", "train_policy"]
+from octoarm_env.arrays import Float
 
 Env = gym.Env[Any, Any]
-Float = NDArray[np.float64]
 
 ReadoutPolicy = Policy
 """Its name before networks were the same."""

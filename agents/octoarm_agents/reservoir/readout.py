@@ -6,13 +6,12 @@ import math
 from typing import Any, Literal, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
-__all__ = ["Readout", "noise_ridge"]
+from octoarm_env.arrays import Float
 
-Float = NDArray[np.float64]
 Method = Literal["pinv", "ridge", "noise"]
 
 METHODS = ("pinv", "ridge", "noise")

@@ -5,13 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
-
-__all__ = ["POINTS", "TeacherRun"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 POINTS = 100
 """Points of a turn at which the step is linearised; between two of them it is taken as constant."""

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
@@ -35,10 +34,7 @@ from octoarm_agents.reservoir.floquet import floquet_exponents
 from octoarm_agents.reservoir.readout import Readout, noise_ridge
 from octoarm_agents.reservoir.teacher import TeacherRun
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
-
-__all__ = ["TIME_SCALES", "UNDISTURBED", "Lesson", "Taught", "Teaching", "teach"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 TIME_SCALES = (0, 3, 10, 30, 100, 300)
 """Correlation times of the base's disturbances [steps]; 0 is white noise."""

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from octoarm_agents.common.orbit import orbit_distance, turn_time
@@ -27,10 +26,7 @@ from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import LIMIT_CYCLES, ArmParameters
-
-__all__ = ["Tuned", "tune"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 TRIAL_STEPS = 12_000
 _CHUNK = 2_000

@@ -12,8 +12,6 @@ import cloudpickle
 
 from octoarm_agents.common.files import atomic_file
 
-__all__ = ["read_checkpoint", "write_checkpoint"]
-
 _MODEL, _STATE, _BUFFER = "model.zip", "state.pkl", "replay_buffer.pkl"
 
 _ROWS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

@@ -11,8 +11,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from octoarm_agents.policies.network import Lstm, Network
 
-__all__ = ["export_network"]
-
 _ACTIVATIONS = {torch.nn.Tanh: "tanh", torch.nn.ReLU: "relu"}
 
 

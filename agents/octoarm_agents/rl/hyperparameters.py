@@ -22,8 +22,6 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from octoarm_agents.common.environment import ENV_ID
 
-__all__ = ["ALGORITHMS", "Algorithm", "Hyperparameters", "algorithm_class", "hyperparameter_file"]
-
 Algorithm = Literal["ppo", "sac", "tqc", "recurrent_ppo"]
 
 ALGORITHMS: tuple[Algorithm, ...] = get_args(Algorithm)

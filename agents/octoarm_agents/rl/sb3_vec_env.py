@@ -35,7 +35,6 @@ except ImportError as error:
         'octoarm_agents.rl needs stable-baselines3: pip install "octoarm-agents[rl]"'
     ) from error
 
-__all__ = ["Sb3VecEnv", "make_sb3_vec_env"]
 
 Info = dict[str, Any]
 

@@ -30,8 +30,6 @@ from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
 
-__all__ = ["JUDGED_STEPS", "Training", "train"]
-
 JUDGED_STEPS = 500
 """Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
 

@@ -20,8 +20,6 @@ from octoarm_agents.common.whole import whole_number
 from octoarm_agents.rl.hyperparameters import Hyperparameters
 from octoarm_agents.rl.training import Training, train
 
-__all__ = ["TRIAL_STEPS", "sample", "tune_algorithm"]
-
 TRIAL_STEPS = {
     "ppo": 100_000,
     "recurrent_ppo": 60_000,

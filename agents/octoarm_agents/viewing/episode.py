@@ -11,15 +11,12 @@ from octoarm_agents.policies.evaluation import Trivial, acting
 from octoarm_agents.policies.measures import orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Episodes, Noise, PolicyPredictor, Push
 from octoarm_env import OctoArmVectorEnv
+from octoarm_env.arrays import Float
 from octoarm_env.rendering import Camera
 from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer
-
-__all__ = ["Episode"]
-
-Float = NDArray[np.float64]
 
 
 class Episode(Episodes):

@@ -20,16 +20,6 @@ from octoarm_agents.viewing.episode import Episode
 if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer
 
-__all__ = [
-    "FILMS",
-    "check_film",
-    "default_fps",
-    "film_frames",
-    "frame_count",
-    "frame_steps",
-    "picture_end",
-    "write_film",
-]
 
 Frame = NDArray[np.uint8]
 

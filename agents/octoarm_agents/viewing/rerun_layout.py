@@ -10,8 +10,6 @@ from octoarm_agents.viewing.episode import Episode
 from octoarm_env.rendering.colours import Colour
 from octoarm_env.rendering.history import LATE
 
-__all__ = ["layout"]
-
 _SEA: Colour = (4, 22, 40)
 
 

@@ -24,6 +24,7 @@ from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.viewing.episode import Episode
 from octoarm_agents.viewing.rerun_layout import layout
 from octoarm_env import ArmParameters
+from octoarm_env.arrays import Float
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.colours import (
     BASE,
@@ -35,16 +36,6 @@ from octoarm_env.rendering.colours import (
     strain_colours,
 )
 
-__all__ = [
-    "APPLICATION",
-    "STREAMS",
-    "RecordingError",
-    "begin_recording",
-    "log_episode",
-    "recording_file",
-]
-
-Float = NDArray[np.float64]
 Steps = NDArray[np.int64]
 
 APPLICATION = "octoarm"

@@ -14,8 +14,6 @@ import rerun as rr
 
 from octoarm_agents.viewing.rerun_streams import RecordingError, begin_recording
 
-__all__ = ["recording_in_browser", "recording_in_viewer"]
-
 _VIEWER_PORT, _BROWSER_PORT = 9876, 9090
 """Where Rerun's viewers listen as a rule."""
 _PATIENCE = 60.0

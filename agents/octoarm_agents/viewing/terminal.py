@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from octoarm_env.rendering import Camera
     from octoarm_env.rendering.renderer import Renderer
 
-__all__ = ["UPPER_HALF", "half_blocks", "show_in_terminal"]
 
 UPPER_HALF = "▀"
 

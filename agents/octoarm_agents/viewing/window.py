@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from octoarm_agents.viewing.episode import Episode
     from octoarm_env.rendering import Camera
 
-__all__ = ["MousePolicy", "show_in_window"]
-
 
 class MousePolicy:
     """Leans the base where the mouse has dragged it.

@@ -24,8 +24,6 @@ from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_number
 from octoarm_agents.reservoir.cycles import CYCLE_LABELS, PAPER_BURSTS
 
-__all__ = ["FIGURE9", "FIGURE10"]
-
 _END_STEPS = 6_000
 """Steps of the portrait's last part."""
 

@@ -33,8 +33,6 @@ from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable
 from octoarm_agents.reservoir.cycles import BURSTS
 
-__all__ = ["FIGURE11"]
-
 TARGET = "lissajous"
 OUTCOMES = {
     "recovered": "recovered",

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from octoarm_agents.common.intervals import format_range
 from octoarm_agents.common.plotting import GREY, new_figure, write_letters
@@ -21,10 +20,7 @@ from octoarm_agents.experiments.plots import (
 from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, observation_table
 from octoarm_agents.reservoir.cycles import CYCLE_LABELS, TRAININGS
-
-__all__ = ["FIGURE12", "describe_weights"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 BASE_COMPARTMENTS = 6
 """In the paper's Lissajous curve, output 1 has almost no weights beyond compartment 6."""

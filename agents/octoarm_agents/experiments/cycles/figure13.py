@@ -34,8 +34,6 @@ from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_number, observation_table
 from octoarm_agents.reservoir.cycles import CYCLE_LABELS
 
-__all__ = ["FIGURE13", "describe_sizes"]
-
 NUDGES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1)
 """ε [degrees]; the paper names the ends."""
 

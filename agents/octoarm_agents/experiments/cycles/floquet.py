@@ -46,8 +46,6 @@ from octoarm_agents.experiments.tables import ResultTable
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE
 from octoarm_agents.reservoir.cycles import CYCLE_LABELS, CYCLES
 
-__all__ = ["FLOQUET"]
-
 STEPS = 20_000
 AMPLITUDES = (0.5, 1.0, 1.5)
 """R tried, in units of the cycle's own."""

@@ -10,26 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.experiments.cycles.trials import TaughtLoop, hold_cycle
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
 from octoarm_agents.reservoir.teacher import TeacherRun
 from octoarm_agents.reservoir.teaching import Lesson, Teaching
 from octoarm_env import ArmParameters, DomainError
-
-__all__ = [
-    "PHASE_ERROR",
-    "RESPONSE_NOISES",
-    "RESPONSE_TURNS",
-    "is_stable",
-    "is_thrown_far",
-    "leading_exponent",
-    "noise_response",
-    "probe_loops",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 RESPONSE_NOISES = (1e-5, 1e-4)
 """Half widths of the noise that a loop's response is measured with, in units of R. The water's

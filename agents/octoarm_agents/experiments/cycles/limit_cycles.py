@@ -39,8 +39,6 @@ from octoarm_agents.reservoir.cycles import (
     PAPER_FINDINGS,
 )
 
-__all__ = ["LIMIT_CYCLES", "largest_recovered"]
-
 STEPS = 1_000_000
 """Steps of the closed loop (section 2.2.2)."""
 

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 from octoarm_agents.common.plotting import BLACK, BLUE, ORANGE, VERMILLION
 from octoarm_agents.experiments.cycles.trials import BURST_BEGIN, BURST_END
 
-__all__ = ["draw_outputs", "draw_portrait", "explain_outputs"]
-
 _OUTPUTS = ((BLUE, "output 1, θ"), (VERMILLION, "output 2, φ"))
 _TARGET: dict[str, Any] = {"color": BLACK, "linewidth": 4.0, "alpha": 0.18}
 

@@ -6,14 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.orbit import turn_time, upward_crossings
 from octoarm_agents.experiments.runner import round_numbers
-
-__all__ = ["align_orbit", "excerpt", "phase_shift"]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 
 def excerpt(

@@ -15,19 +15,6 @@ from octoarm_agents.experiments.runner import RunSettings
 from octoarm_agents.reservoir.cycles import CYCLES, TRAININGS
 from octoarm_agents.reservoir.teaching import Teaching
 
-__all__ = [
-    "FOLDER",
-    "NOISE_SEEDS",
-    "TRIALS",
-    "TaughtCycle",
-    "count_outcomes",
-    "disturb_cycles",
-    "fraction_recovered",
-    "list_repetitions",
-    "teach_all",
-    "teach_cycles",
-]
-
 FOLDER = "task2"
 """Name under which the trials are kept."""
 

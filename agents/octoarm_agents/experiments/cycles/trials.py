@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.orbit import orbit_distance
 from octoarm_agents.experiments.cycles.series import align_orbit, excerpt, phase_shift
@@ -29,20 +28,7 @@ from octoarm_agents.reservoir.closed_loop import (
 )
 from octoarm_agents.reservoir.teaching import Teaching, teach
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
-
-__all__ = [
-    "BURST_BEGIN",
-    "BURST_END",
-    "BURST_RUN",
-    "NUDGED_STEPS",
-    "TaughtLoop",
-    "disturb_cycle",
-    "hold_cycle",
-    "nudge_cycle",
-    "teach_cycle",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 BURST_BEGIN, BURST_END = 6_000, 7_000
 """Steps of the closed loop between which noise is added to the outputs, anew each step."""

@@ -35,8 +35,6 @@ from octoarm_agents.experiments.plots import number_compartments
 from octoarm_agents.experiments.runner import Experiment, RefusedError, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_spread
 
-__all__ = ["FIGURE5B", "FIGURE5C"]
-
 
 @dataclass(frozen=True)
 class Ratio:

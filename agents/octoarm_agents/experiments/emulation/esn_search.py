@@ -15,8 +15,6 @@ import numpy as np
 from octoarm_agents.experiments.emulation.protocol import INPUTS, Drive, score_features
 from octoarm_agents.reservoir.baselines import echo_state_network
 
-__all__ = ["GRID", "SEED", "main", "rank_settings"]
-
 SEED = 20131
 """Of the trial and of the networks; the default seed of the experiments is 0."""
 

@@ -38,8 +38,6 @@ from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.inputs import TIMESTEP
 from octoarm_env import Arm, DomainError
 
-__all__ = ["FIGURE4"]
-
 SHOWN_STEPS = 3_000
 EVERY = 5
 """Timesteps of the evaluation phase that are shown, and every how many of them: the input has

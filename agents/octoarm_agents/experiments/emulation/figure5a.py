@@ -27,8 +27,6 @@ from octoarm_agents.experiments.emulation.trials import list_failures, make_tria
 from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_number, observation_table
 
-__all__ = ["FIGURE5A", "RANGES", "SENSOR_NOISE", "check_features"]
-
 RANGES = tuple(float(amplitude) for amplitude in range(15, 91, 5))
 """R [degrees]."""
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.lanes import Recording, record_arms
 from octoarm_agents.experiments.runner import RefusedError
@@ -25,28 +24,8 @@ from octoarm_agents.reservoir.inputs import (
 )
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import Arm, ArmParameters
+from octoarm_env.arrays import Float
 
-__all__ = [
-    "HOLD_STEPS",
-    "INITIAL_STEPS",
-    "INPUTS",
-    "PAPER",
-    "RANGE",
-    "TASKS",
-    "TASK_HEADINGS",
-    "TEST_STEPS",
-    "TRAINING_STEPS",
-    "TRIALS",
-    "WASHOUT_STEPS",
-    "Drive",
-    "check_timestep",
-    "fit_readout",
-    "mean_squared_errors",
-    "record_many",
-    "score_features",
-]
-
-Float = NDArray[np.float64]
 Scores = dict[str, dict[str, float]]
 
 INITIAL_STEPS = 1_000

@@ -41,8 +41,6 @@ from octoarm_agents.experiments.emulation.trials import (
 from octoarm_agents.experiments.runner import Experiment, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_number, format_spread
 
-__all__ = ["TABLE2"]
-
 SENSOR_NOISE = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
 """Standard deviations of the normal noise on the lengths, in training and test [m]."""
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from octoarm_agents.common.lanes import Recording
 from octoarm_agents.common.trials import Settings, Trial
@@ -30,19 +29,7 @@ from octoarm_agents.reservoir.baselines import BASELINES
 from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import Arm, ArmParameters, DomainError
-
-__all__ = [
-    "SPRINGS_PER_COMPARTMENT",
-    "compare_methods",
-    "leave_out_compartments",
-    "list_failures",
-    "make_trials",
-    "note_failures",
-    "record_trials",
-    "score_arm",
-]
-
-Float = NDArray[np.float64]
+from octoarm_env.arrays import Float
 
 SPRINGS_PER_COMPARTMENT = 4
 
