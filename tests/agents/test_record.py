@@ -337,9 +337,8 @@ class TestCourse:
         settings = {"push": 5.0, "noise": 1e-5, "steps": 125, "seed": 2}
         filmed, pictured, plain = (make_episode("ppo/quadratic", **settings) for _ in range(3))
         made = []
-        frames = film.film_frames(
-            filmed, Steps(), fps=7.0, speed=1.0, progress=lambda: made.append(1)
-        )
+        filmed.progress = lambda: made.append(1)
+        frames = film.film_frames(filmed, Steps(), fps=7.0, speed=1.0)
         assert list(frames) == list(film.frame_steps(125, 0.01, 7.0, 1.0))
         film.picture_end(pictured, pictured.renderer((64, 48), Camera()), tmp_path / "end.png")
         play(plain)

@@ -107,7 +107,7 @@ def step_independently(actions, seed):
         steps.command.append(action.astype(float) * episode.action_range)
     everything = vars(seen) | vars(steps)
     return SimpleNamespace(
-        **{name: np.array(rows) for name, rows in everything.items()}, orbit=episode.orbit
+        **{name: np.array(rows) for name, rows in everything.items()}, orbit=episode.target.points
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from octoarm_agents.common.environment import inspect_env, make_vector_env
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.measures import (
+    TargetOrbit,
     orbit_measures,
     orbit_series,
     recovery,
@@ -119,7 +120,7 @@ def circle(turns: float, steps: int, radius: float = 1.0, phase: float = 0.0) ->
     return radius * np.stack((np.cos(angles), np.sin(angles)), axis=1)
 
 
-ORBIT = circle(1, 2048)
+TARGET = TargetOrbit(circle(1, 2048), amplitude=1.0, period=1.0, control_period=0.01)
 
 
 def rollout_of(angles: np.ndarray) -> Rollout:
@@ -130,9 +131,8 @@ def rollout_of(angles: np.ndarray) -> Rollout:
     )
 
 
-def measured(angles: np.ndarray, **changes: float) -> dict[str, float | None]:
-    arguments = {"amplitude": 1.0, "period": 1.0, "control_period": 0.01, "window": 500} | changes
-    return orbit_measures(rollout_of(angles[:, np.newaxis]), ORBIT, **arguments)
+def measured(angles: np.ndarray) -> dict[str, float | None]:
+    return orbit_measures(rollout_of(angles[:, np.newaxis]), TARGET, window=500)
 
 
 def test_orbit_measures_do_not_see_the_phase() -> None:
@@ -161,14 +161,14 @@ def test_recovery_is_timed() -> None:
     angles[100:300, 1] *= 1.5  # back at step 300
     angles[100:, 2] *= 1.5  # never
     angles[950:, 3] *= 1.5  # off again at the end
-    found = recovery(rollout_of(angles), ORBIT, amplitude=1.0, control_period=0.01, end=200)
+    found = recovery(rollout_of(angles), TARGET, end=200)
     assert found["recovered"] == 0.5
     assert found["time"] is None
     resting = angles[:, :1].copy()
     resting[400:] = resting[400]  # on the orbit, but at rest
-    found = recovery(rollout_of(resting), ORBIT, amplitude=1.0, control_period=0.01, end=200)
+    found = recovery(rollout_of(resting), TARGET, end=200)
     assert found["recovered"] == 0
-    found = recovery(rollout_of(angles[:, :2]), ORBIT, amplitude=1.0, control_period=0.01, end=200)
+    found = recovery(rollout_of(angles[:, :2]), TARGET, end=200)
     assert found["recovered"] == 1.0
     assert found["time"] == pytest.approx(0.5)
 

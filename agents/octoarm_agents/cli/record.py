@@ -95,13 +95,14 @@ def record(
                 count = frame_count(steps, episode.control_period, rate, speed)
                 check_film(out, renderer.size, rate, count)
         with progress_bar(steps, "recording", unit=" steps") as bar:
+            episode.progress = bar.update
             if kind == ".rrd":
                 with recording_file(out) as recording:
-                    log_episode(recording, episode, progress=bar.update)
+                    log_episode(recording, episode)
             elif kind == ".png":
-                picture_end(episode, renderer, out, progress=bar.update)
+                picture_end(episode, renderer, out)
             else:
-                drawn = film_frames(episode, renderer, fps=rate, speed=speed, progress=bar.update)
+                drawn = film_frames(episode, renderer, fps=rate, speed=speed)
                 with need_extra("render"):
                     frames = write_film(out, drawn, renderer.size, rate)
     except KeyboardInterrupt:

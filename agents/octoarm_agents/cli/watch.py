@@ -176,12 +176,13 @@ def _show_in_rerun(episode: Episode, *, in_browser: bool) -> None:
 
     try:
         with progress_bar(episode.steps, "recording", unit=" steps") as bar:
+            episode.progress = bar.update
             if in_browser:
                 recording, address = recording_in_browser(open_browser=sys.stdout.isatty())
-                log_episode(recording, episode, progress=bar.update)
+                log_episode(recording, episode)
             else:
                 with recording_in_viewer() as recording:
-                    log_episode(recording, episode, progress=bar.update)
+                    log_episode(recording, episode)
     except RecordingError as error:
         typer.echo(f"cannot show it: {error}. octoarm record writes files.", err=True)
         raise typer.Exit(1) from None

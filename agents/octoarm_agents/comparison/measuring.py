@@ -12,7 +12,12 @@ from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
-from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
+from octoarm_agents.policies.measures import (
+    TargetOrbit,
+    orbit_measures,
+    recovery,
+    tracking_measures,
+)
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
 from octoarm_env import ArmParameters
 
@@ -88,9 +93,7 @@ class AgentTest:
     def run(self, steps: int, push: Push | None = None, noise: Noise | None = None) -> Rollout:
         """Let the agent act for so many control periods."""
         envs = make_vector_env(self.plan.episodes, self.body, self.settings, steps=steps, threads=1)
-        self.orbit = np.array(envs.get_attr("orbit")[0])
-        self.amplitude = float(envs.get_attr("amplitude")[0])
-        self.period = float(envs.get_attr("period")[0])
+        self.target = TargetOrbit.of(envs)
         try:
             return roll_out(
                 acting(self.policy, envs),
@@ -115,14 +118,7 @@ class AgentTest:
         """
         steps = steps or self.plan.steps
         rollout = self.run(steps, noise=noise)
-        orbit = orbit_measures(
-            rollout,
-            self.orbit,
-            amplitude=self.amplitude,
-            period=self.period,
-            control_period=self.settings["control_period"],
-            window=max(window or steps // 2, 1),
-        )
+        orbit = orbit_measures(rollout, self.target, max(window or steps // 2, 1))
         return {**orbit, **tracking_measures(rollout)}
 
     def recovery(
@@ -133,11 +129,7 @@ class AgentTest:
         assert disturbance is not None
         assert disturbance.steps is not None
         end = disturbance.begin + disturbance.steps
-        rollout = self.run(end + self.plan.after, push, noise)
-        control_period = self.settings["control_period"]
-        return recovery(
-            rollout, self.orbit, amplitude=self.amplitude, control_period=control_period, end=end
-        )
+        return recovery(self.run(end + self.plan.after, push, noise), self.target, end)
 
 
 def measure_agent(

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any, Literal, Protocol, get_args
 
 import gymnasium as gym
-import numpy as np
 
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.policies.measures import orbit_measures, tracking_measures
+from octoarm_agents.policies.measures import TargetOrbit, orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import HoldPolicy, Noise, PolicyPredictor, Push, roll_out
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
@@ -95,14 +94,7 @@ def evaluate_policy(
         rollout = roll_out(
             acting(policy, envs), envs, seed=seed, steps=steps, push=push, noise=noise
         )
-        orbit = orbit_measures(
-            rollout,
-            np.array(envs.get_attr("orbit")[0]),
-            amplitude=envs.get_attr("amplitude")[0],
-            period=envs.get_attr("period")[0],
-            control_period=home.settings["control_period"],
-            window=steps // 2,
-        )
+        orbit = orbit_measures(rollout, TargetOrbit.of(envs), steps // 2)
     finally:
         envs.close()
     return {**orbit, **tracking_measures(rollout), "returns": rollout.returns.tolist()}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.policies.rollout import Rollout
+from octoarm_env import OctoArmVectorEnv
 from octoarm_env.arrays import Float
 
 ON_ORBIT = 0.1
@@ -16,6 +19,31 @@ ON_ORBIT = 0.1
 
 ON_PACE = 0.05
 """Part by which the period of an arm that holds the orbit may be off."""
+
+
+@dataclass(frozen=True, eq=False)
+class TargetOrbit:
+    """What the base is to follow, and how often it is told to.
+
+    Attributes:
+        points: of one turn, (K, 2) [degrees].
+        amplitude: largest angle [degrees].
+        period: of a turn [s].
+        control_period: seconds of a step.
+    """
+
+    points: Float
+    amplitude: float
+    period: float
+    control_period: float
+
+    @classmethod
+    def of(cls, envs: OctoArmVectorEnv) -> Self:
+        """The target of environments that all have the same."""
+        points, amplitude, period = (
+            envs.get_attr(name)[0] for name in ("orbit", "amplitude", "period")
+        )
+        return cls(np.array(points), amplitude, period, envs.settings[0].control_period)
 
 
 def tracking_measures(rollout: Rollout) -> dict[str, float]:
@@ -43,23 +71,12 @@ def orbit_series(rollout: Rollout, orbit: Float) -> Float:
     return np.where(rollout.alive, flat.reshape(steps, count), np.inf)
 
 
-def orbit_measures(
-    rollout: Rollout,
-    orbit: Float,
-    *,
-    amplitude: float,
-    period: float,
-    control_period: float,
-    window: int,
-) -> dict[str, float | None]:
+def orbit_measures(rollout: Rollout, target: TargetOrbit, window: int) -> dict[str, float | None]:
     """Measures that do not know the time: is the arm on the orbit, does it turn at its pace.
 
     Args:
         rollout: long enough to be settled.
-        orbit: target, (K, 2) [degrees].
-        amplitude: of the target [degrees].
-        period: of the target [s].
-        control_period: seconds of a step.
+        target: what the base was to follow.
         window: last steps that count.
 
     Returns:
@@ -69,13 +86,13 @@ def orbit_measures(
         ``held``, the share of episodes that end with a mean distance within `ON_ORBIT` and a period
         within `ON_PACE`; ``survival``, the share that last.
     """
-    distances = orbit_series(rollout, orbit)[-window:].mean(axis=0) / amplitude
-    turn = period / control_period
+    distances = orbit_series(rollout, target.points)[-window:].mean(axis=0) / target.amplitude
+    turn = target.period / target.control_period
     periods = np.array(
         [turn_time(rollout.angles[-window:, index, 1]) / turn for index in range(len(distances))]
     )
     lasted = np.isfinite(distances)
-    swinging = lasted & _swings(rollout.angles[-window:], orbit)
+    swinging = lasted & _swings(rollout.angles[-window:], target.points)
     turning = swinging & np.isfinite(periods)
     held = turning & is_held(distances, periods, distance_limit=ON_ORBIT, period_limit=ON_PACE)
     return {
@@ -86,16 +103,12 @@ def orbit_measures(
     }
 
 
-def recovery(
-    rollout: Rollout, orbit: Float, *, amplitude: float, control_period: float, end: int
-) -> dict[str, float | None]:
+def recovery(rollout: Rollout, target: TargetOrbit, end: int) -> dict[str, float | None]:
     """How an arm comes back to the orbit, at whatever phase.
 
     Args:
         rollout: episodes with a disturbance in them, and after it at least ten turns of the orbit.
-        orbit: target, (K, 2) [degrees].
-        amplitude: of the target [degrees].
-        control_period: seconds of a step.
+        target: what the base was to follow.
         end: first step after the disturbance.
 
     Returns:
@@ -104,11 +117,11 @@ def recovery(
         of how long after its end that is [s] (None if fewer than half recover); ``return_after``,
         mean reward a step after the disturbance: what the lost phase costs.
     """
-    distances = orbit_series(rollout, orbit)[end:] / amplitude
+    distances = orbit_series(rollout, target.points)[end:] / target.amplitude
     last = steps_to_return(distances, ON_ORBIT)
     recovered = last <= 0.9 * len(distances)
-    recovered &= _swings(rollout.angles[-max(len(distances) // 10, 1) :], orbit)
-    times = np.where(recovered, last * control_period, np.inf)
+    recovered &= _swings(rollout.angles[-max(len(distances) // 10, 1) :], target.points)
+    times = np.where(recovered, last * target.control_period, np.inf)
     middle = float(np.median(times))
     return {
         "recovered": float(recovered.mean()),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octoarm_agents.policies.evaluation import Trivial, acting
-from octoarm_agents.policies.measures import orbit_measures, tracking_measures
+from octoarm_agents.policies.measures import TargetOrbit, orbit_measures, tracking_measures
 from octoarm_agents.policies.rollout import Episodes, Noise, PolicyPredictor, Push
 from octoarm_env import OctoArmVectorEnv
 from octoarm_env.arrays import Float
@@ -32,9 +33,10 @@ class Episode(Episodes):
         title: whose episode this is.
 
     Attributes:
-        orbit, action_range, period: of the target: its points (K, 2) and the largest angle of the
-            base [degrees], the time of a turn [s].
+        target: what the base is to follow.
+        action_range: largest angle of the base [degrees].
         control_period: seconds of a step.
+        progress: called after each step.
         history: what pictures show of the past.
         command: what the base was told, the push included, (2,) [degrees]; before the first step
             the base angles.
@@ -61,9 +63,9 @@ class Episode(Episodes):
             push=Push.after_a_second(push, self.control_period) if push else None,
             noise=Noise(noise) if noise else None,
         )
-        self.orbit: Float = np.array(self._of_env("orbit"))
+        self.target = TargetOrbit.of(envs)
         self.action_range: float = self._of_env("action_range")
-        self.period: float = self._of_env("period")
+        self.progress: Callable[[], object] = lambda: None
         self.command: Float = self.infos["base_angles"][0].copy()
         self.history = History(self.control_period)
         self.history.begin(self.info)
@@ -100,18 +102,12 @@ class Episode(Episodes):
         command = super().step()
         self.command = command[0].astype(np.float64) * self.action_range
         self.history.add(self.info, self.rollout.rewards[self.steps_made - 1, 0])
+        self.progress()
         return command
 
     def figures(self) -> dict[str, Any]:
         """Give the figures of the episode that has ended, as `evaluate_policy` does."""
-        orbit = orbit_measures(
-            self.rollout,
-            self.orbit,
-            amplitude=self._of_env("amplitude"),
-            period=self.period,
-            control_period=self.control_period,
-            window=self.steps // 2,
-        )
+        orbit = orbit_measures(self.rollout, self.target, self.steps // 2)
         return {**orbit, **tracking_measures(self.rollout)}
 
     def report(self) -> str:
@@ -140,7 +136,7 @@ class Episode(Episodes):
 
         return Renderer(
             self.settings.arm,
-            self.orbit,
+            self.target.points,
             self.action_range,
             self.title,
             size=size,

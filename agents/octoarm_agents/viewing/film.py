@@ -6,7 +6,7 @@ import io
 import os
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,12 +99,7 @@ def frame_steps(steps: int, control_period: float, fps: float, speed: float) -> 
 
 
 def film_frames(
-    episode: Episode,
-    renderer: Renderer,
-    *,
-    fps: float,
-    speed: float,
-    progress: Callable[[], object] = lambda: None,
+    episode: Episode, renderer: Renderer, *, fps: float, speed: float
 ) -> Iterator[Frame]:
     """Let an episode run, and draw its film; an arm that leaves its domain ends it.
 
@@ -113,18 +108,15 @@ def film_frames(
         renderer: draws it.
         fps: frames of a second of the film.
         speed: seconds of the arm in a second of the film.
-        progress: called after each step.
     """
     for shown in frame_steps(episode.steps, episode.control_period, fps, speed):
         while episode.steps_made < shown and not episode.ended:
             episode.step()
-            progress()
         yield renderer.frame(episode.joints, episode.history)
         if episode.history.failure:
             return
     while not episode.ended:  # the steps after the last frame
         episode.step()
-        progress()
 
 
 def write_film(path: Path, frames: Iterable[Frame], size: tuple[int, int], fps: float) -> int:
@@ -205,13 +197,7 @@ def _reason(messages: bytes, status: int) -> str:
     return f"ffmpeg: {next(filter(None, words), f'ended with status {status}')}"
 
 
-def picture_end(
-    episode: Episode,
-    renderer: Renderer,
-    path: Path,
-    *,
-    progress: Callable[[], object] = lambda: None,
-) -> None:
+def picture_end(episode: Episode, renderer: Renderer, path: Path) -> None:
     """Let an episode run, and write a picture of its end, `.png`.
 
     Raises:
@@ -221,7 +207,6 @@ def picture_end(
 
     while not episode.ended:
         episode.step()
-        progress()
     picture = renderer.draw(episode.joints, episode.history)
     # Not into the file itself: pygame says nothing of a full disk.
     encoded = io.BytesIO()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from octoarm_env.rendering.colours import (
 )
 
 Steps = NDArray[np.int64]
+Columns = Iterable[rr.ComponentColumn]
 
 APPLICATION = "octoarm"
 """Under this name the viewer files the recordings."""
@@ -119,23 +120,16 @@ def begin_recording() -> rr.RecordingStream:
     return recording
 
 
-def log_episode(
-    recording: rr.RecordingStream,
-    episode: Episode,
-    *,
-    progress: Callable[[], object] = lambda: None,
-) -> None:
+def log_episode(recording: rr.RecordingStream, episode: Episode) -> None:
     """Let an episode run, and log all of it; the episode notices nothing of that.
 
     Args:
         recording: where the streams go; what is to receive them is attached already.
         episode: at its beginning.
-        progress: called after each step.
     """
     log = _EpisodeLog(recording, episode)
     while not episode.ended:
         log.step()
-        progress()
 
 
 class _EpisodeLog:
@@ -153,11 +147,12 @@ class _EpisodeLog:
         self._events: list[tuple[int, str, str]] = []
         self._trail_end: Float = episode.command
         self._was_pushed = False
-        self._title = f"{episode.title}, seed {episode.seed}"
-        recording.send_recording_name(self._title)
+        title = f"{episode.title}, seed {episode.seed}"
+        recording.send_recording_name(title)
         recording.send_blueprint(layout(episode))
-        self._log_static()
-        self._note(f"{self._title} begins on the orbit")
+        for path, archetype in _still(episode, title).items():
+            recording.log(path, archetype, static=True, strict=True)
+        self._note(f"{title} begins on the orbit")
         if episode.noise is not None:
             size = episode.noise.size
             self._note(f"the agent sees the lengths with noise of ±{size:g} m", "WARN")
@@ -176,12 +171,15 @@ class _EpisodeLog:
 
     def _remember(self) -> None:
         episode, info, step = self._episode, self._episode.info, self._episode.steps_made
-        row = {name: info[name] for name in ("base_angles", "target", "tracking_error")}
-        row |= {"joints": episode.joints, "lengths": episode.lengths[0], "step": step}
-        row |= {"command": episode.command, "return": episode.history.total}
-        row |= {name: info[f"reward_{name}"] for name in ("tracking", "action_change")}
-        row["reward"] = episode.rollout.rewards[step - 1, 0]
+        base = info["base_angles"]
+        row = {"step": step, "joints": episode.joints, "lengths": episode.lengths[0]}
+        row |= {"base": base, "target": info["target"], "trail": (self._trail_end, base)}
+        row |= {"command": episode.command, "error/tracking": info["tracking_error"]}
+        row["reward/reward"] = episode.rollout.rewards[step - 1, 0]
+        row |= {f"reward/{name}": info[f"reward_{name}"] for name in ("tracking", "action_change")}
+        row["reward/return"] = episode.history.total
         self._waiting.append(row)
+        self._trail_end = base
         pushed = "pushed" in episode.disturbances and not episode.ended
         if pushed and not self._was_pushed and episode.push is not None:
             self._note(f"somebody pushes the base by {episode.push.size:g}°", "WARN")
@@ -192,189 +190,144 @@ class _EpisodeLog:
     def _note(self, text: str, level: str = "INFO") -> None:
         self._events.append((self._episode.steps_made, text, level))
 
-    # What does not change.
-
-    def _log_static(self) -> None:
-        episode = self._episode
-        body, orbit = episode.settings.arm, _thinned(episode.orbit)
-        count, radius = body.compartments, body.base_radius
-        pointer = _POINTER * body.rest_length * count
-        log = self._log_once
-        log(
-            "about", rr.TextDocument(_about(episode, self._title), media_type=rr.MediaType.MARKDOWN)
-        )
-        stands = body.gravity[2] < 0
-        coordinates = rr.ViewCoordinates
-        log("world", coordinates.RIGHT_HAND_Z_UP if stands else coordinates.RIGHT_HAND_Z_DOWN)
-        log(
-            "world/arm/skin",
-            rr.Mesh3D.from_fields(
-                triangle_indices=_skin_triangles(count),
-                vertex_normals=_skin_normals(body),
-                vertex_colors=_skin_colours(count),
-            ),
-        )
-        log("world/arm/springs", rr.LineStrips3D.from_fields(colors=SPRINGS, radii=0.09 * radius))
-        log(
-            "world/base/plate",
-            rr.Cylinders3D(
-                lengths=0.3 * radius,
-                radii=1.25 * radius,
-                centers=[0.0, 0.0, -0.15 * radius],
-                colors=_METAL,
-                fill_mode=rr.components.FillMode.Solid,
-            ),
-        )
-        for name, colour, thick in (("base", BASE, 0.12), ("target", TARGET, 0.06)):
-            log(
-                f"world/{name}/pointer",
-                rr.Arrows3D(vectors=[0.0, 0.0, -pointer], radii=thick * radius, colors=colour),
-            )
-        ends = _attitudes(orbit).apply([0.0, 0.0, -pointer])
-        log("world/orbit", rr.LineStrips3D([ends], radii=0.04 * radius, colors=ORBIT))
-
-        # The flip turns the downward axis of a flat view upwards; the data keep their signs.
-        log("portrait/plane", rr.Transform3D(scale=[1.0, -1.0, 1.0]))
-        reach = episode.action_range
-        log(
-            "portrait/plane/axes",
-            rr.LineStrips2D(
-                [[[-reach, 0.0], [reach, 0.0]], [[0.0, -reach], [0.0, reach]]],
-                colors=_AXES,
-                radii=rr.Radius.ui_points(0.5),
-                draw_order=0.0,
-            ),
-        )
-        log(
-            "portrait/plane/names",
-            rr.Points2D(
-                [[reach, 0.0], [0.0, reach]],
-                labels=[f"θ {reach:g}°", f"φ {reach:g}°"],
-                show_labels=True,
-                colors=_AXES,
-                radii=rr.Radius.ui_points(1.0),
-            ),
-        )
-        log(
-            "portrait/plane/orbit",
-            rr.LineStrips2D([orbit], colors=ORBIT, radii=rr.Radius.ui_points(1.5), draw_order=1.0),
-        )
-        log(
-            "portrait/plane/trail",
-            rr.LineStrips2D.from_fields(
-                colors=BASE, radii=rr.Radius.ui_points(1.0), draw_order=2.0
-            ),
-        )
-        for name, colour, size in (("target", TARGET, 7.0), ("base", BASE, 5.0)):
-            log(
-                f"portrait/plane/{name}",
-                rr.Points2D.from_fields(
-                    colors=colour, radii=rr.Radius.ui_points(size), draw_order=40.0 - size
-                ),
-            )
-
-        log(
-            "strain",
-            rr.Image.from_fields(
-                format=rr.components.ImageFormat(
-                    width=count,
-                    height=4,
-                    color_model=rr.ColorModel.RGB,
-                    channel_datatype=rr.ChannelDatatype.U8,
-                )
-            ),
-        )
-        for spring, colour in enumerate(SPRINGS, start=1):
-            log(
-                f"springs/{spring}",
-                rr.SeriesLines(
-                    colors=_fading(colour, count),
-                    names=[f"compartment {index + 1}" for index in range(count)],
-                ),
-            )
-        for path, name, colour in _SERIES:
-            held = path.endswith("command")
-            log(
-                path,
-                rr.SeriesLines(
-                    colors=colour,
-                    names=name,
-                    # A command holds from the moment of the row before to that of its own.
-                    interpolation_mode=rr.components.InterpolationMode.StepBefore if held else None,
-                ),
-            )
-
-    def _log_once(self, path: str, archetype: rr.AsComponents) -> None:
-        self._recording.log(path, archetype, static=True, strict=True)
-
-    # What changes from row to row.
-
     def _send(self) -> None:
         """Send the rows and events that wait."""
         if self._waiting:
-            first, *_ = self._waiting
-            rows = {name: np.array([row[name] for row in self._waiting]) for name in first}
+            names = self._waiting[0]
+            rows = {name: np.array([row[name] for row in self._waiting]) for name in names}
             self._waiting.clear()
-            self._send_arm(rows["step"], rows["joints"], rows["lengths"])
-            self._send_base(rows["step"], rows["base_angles"], rows["target"])
-            orbit = orbit_distance(rows["base_angles"], self._episode.orbit)
-            self._send_scalars("error/tracking", rows["step"], rows["tracking_error"])
-            self._send_scalars("error/orbit", rows["step"], orbit)
+            rows["error/orbit"] = orbit_distance(rows["base"], self._episode.target.points)
+            self._send_streams(rows["step"], _moments(rows, self._episode.settings.arm.rest_length))
             made = rows["step"] > 0
-            for axis, name in enumerate(("theta", "phi")):
-                command = rows["command"][made, axis]
-                self._send_scalars(f"angles/{name}/command", rows["step"][made], command)
-            for name in ("reward", "tracking", "action_change", "return"):
-                self._send_scalars(f"reward/{name}", rows["step"][made], rows[name][made])
+            if made.any():
+                of_steps = _axes("command", rows["command"])
+                of_steps |= {name: rows[name] for name in rows if name.startswith("reward/")}
+                streams = {path: _scalars(values[made]) for path, values in of_steps.items()}
+                self._send_streams(rows["step"][made], streams)
         if self._events:
             steps, texts, levels = zip(*self._events, strict=True)
             self._events.clear()
-            columns = rr.TextLog.columns(text=texts, level=levels)
-            self._send_columns("events", np.array(steps), columns)
+            events = rr.TextLog.columns(text=texts, level=levels)
+            self._send_streams(np.array(steps), {"events": events})
 
-    def _send_arm(self, steps: Steps, joints: Float, lengths: Float) -> None:
-        count, planes = joints.shape[:2]
-        skins = np.array([mesh.skin(each) for each in joints], dtype=np.float32)
-        vertices = rr.Mesh3D.columns(vertex_positions=skins.reshape(-1, 3))
-        self._send_columns(
-            "world/arm/skin", steps, vertices.partition([skins[0].size // 3] * count)
-        )
-        strips = joints.transpose(0, 2, 1, 3).reshape(-1, planes, 3).astype(np.float32)
-        springs = rr.LineStrips3D.columns(strips=list(strips))
-        self._send_columns("world/arm/springs", steps, springs.partition([4] * count))
-        rest_length = self._episode.settings.arm.rest_length
-        strains = lengths.reshape(count, -1, 4).transpose(0, 2, 1) / rest_length - 1
-        pictures = strain_colours(strains).reshape(count, -1)
-        self._send_columns("strain", steps, rr.Image.columns(buffer=list(pictures)))
-        for spring in range(4):
-            self._send_scalars(f"springs/{spring + 1}", steps, lengths[:, spring::4])
-
-    def _send_base(self, steps: Steps, angles: Float, targets: Float) -> None:
-        for kind, pairs in (("base", angles), ("target", targets)):
-            for axis, name in enumerate(("theta", "phi")):
-                self._send_scalars(f"angles/{name}/{kind}", steps, pairs[:, axis])
-            attitudes = _attitudes(pairs).as_quat().astype(np.float32)
-            turned = rr.Transform3D.columns(quaternion=attitudes)
-            self._send_columns(f"world/{kind}", steps, turned)
-            points = rr.Points2D.columns(positions=pairs.astype(np.float32))
-            self._send_columns(f"portrait/plane/{kind}", steps, points)
-        befores = np.concatenate((self._trail_end[np.newaxis], angles[:-1]))
-        pieces = np.stack((befores, angles), axis=1).astype(np.float32)
-        trail = rr.LineStrips2D.columns(strips=list(pieces))
-        self._send_columns("portrait/plane/trail", steps, trail)
-        self._trail_end = angles[-1]
-
-    def _send_scalars(self, path: str, steps: Steps, values: Float) -> None:
-        """Send numbers, (n,) or, several a row, (n, k)."""
-        if len(values):
-            columns = rr.Scalars.columns(scalars=values.reshape(-1))
-            self._send_columns(path, steps, columns.partition([values[0].size] * len(values)))
-
-    def _send_columns(self, path: str, steps: Steps, columns: Iterable[rr.ComponentColumn]) -> None:
+    def _send_streams(self, steps: Steps, streams: dict[str, Columns]) -> None:
         # Whole nanoseconds: a float of seconds would be cut off, not rounded.
         times = np.rint(steps * self._nanoseconds).astype("timedelta64[ns]")
         indexes = [rr.TimeColumn("time", duration=times), rr.TimeColumn("step", sequence=steps)]
-        self._recording.send_columns(path, indexes, columns, strict=True)
+        for path, columns in streams.items():
+            self._recording.send_columns(path, indexes, columns, strict=True)
+
+
+def _moments(rows: dict[str, Float], rest_length: float) -> dict[str, Columns]:
+    """Give the streams that describe moments, of those rows."""
+    joints, lengths = rows["joints"], rows["lengths"]
+    count, planes = joints.shape[:2]
+    skins = np.array([mesh.skin(each) for each in joints], dtype=np.float32)
+    vertices = rr.Mesh3D.columns(vertex_positions=skins.reshape(-1, 3))
+    strips = joints.transpose(0, 2, 1, 3).reshape(-1, planes, 3).astype(np.float32)
+    springs = rr.LineStrips3D.columns(strips=list(strips))
+    strains = lengths.reshape(count, -1, 4).transpose(0, 2, 1) / rest_length - 1
+    pictures = strain_colours(strains).reshape(count, -1)
+    trail = rr.LineStrips2D.columns(strips=list(rows["trail"].astype(np.float32)))
+    streams: dict[str, Columns] = {
+        "world/arm/skin": vertices.partition([skins[0].size // 3] * count),
+        "world/arm/springs": springs.partition([4] * count),
+        "strain": rr.Image.columns(buffer=list(pictures)),
+        "portrait/plane/trail": trail,
+    }
+    scalars = {f"springs/{spring + 1}": lengths[:, spring::4] for spring in range(4)}
+    scalars |= {f"error/{kind}": rows[f"error/{kind}"] for kind in ("tracking", "orbit")}
+    for kind in ("base", "target"):
+        points = rows[kind].astype(np.float32)
+        attitudes = _attitudes(rows[kind]).as_quat().astype(np.float32)
+        streams[f"world/{kind}"] = rr.Transform3D.columns(quaternion=attitudes)
+        streams[f"portrait/plane/{kind}"] = rr.Points2D.columns(positions=points)
+        scalars |= _axes(kind, rows[kind])
+    return streams | {path: _scalars(values) for path, values in scalars.items()}
+
+
+def _axes(kind: str, pairs: Float) -> dict[str, Float]:
+    """Give both angles (n, 2) by the paths of their streams."""
+    return {f"angles/{name}/{kind}": pairs[:, axis] for axis, name in enumerate(("theta", "phi"))}
+
+
+def _scalars(values: Float) -> Columns:
+    """Give the column of numbers, (n,) or, several a row, (n, k)."""
+    columns = rr.Scalars.columns(scalars=values.reshape(-1))
+    return columns.partition([values[0].size] * len(values))
+
+
+def _still(episode: Episode, title: str) -> dict[str, rr.AsComponents]:
+    """Give what does not change: looks, names, the orbit, the text about the episode."""
+    body, orbit, reach = episode.settings.arm, _thinned(episode.target.points), episode.action_range
+    count, radius = body.compartments, body.base_radius
+    pointer = [0.0, 0.0, -_POINTER * body.rest_length * count]
+    stands, handed = body.gravity[2] < 0, rr.ViewCoordinates
+    points = rr.Radius.ui_points
+    still: dict[str, rr.AsComponents] = {
+        "about": rr.TextDocument(_about(episode, title), media_type=rr.MediaType.MARKDOWN),
+        "world": handed.RIGHT_HAND_Z_UP if stands else handed.RIGHT_HAND_Z_DOWN,
+        "world/arm/skin": rr.Mesh3D.from_fields(
+            triangle_indices=_skin_triangles(count),
+            vertex_normals=_skin_normals(body),
+            vertex_colors=_skin_colours(count),
+        ),
+        "world/arm/springs": rr.LineStrips3D.from_fields(colors=SPRINGS, radii=0.09 * radius),
+        "world/base/plate": rr.Cylinders3D(
+            lengths=0.3 * radius,
+            radii=1.25 * radius,
+            centers=[0.0, 0.0, -0.15 * radius],
+            colors=_METAL,
+            fill_mode=rr.components.FillMode.Solid,
+        ),
+        "world/orbit": rr.LineStrips3D(
+            [_attitudes(orbit).apply(pointer)], radii=0.04 * radius, colors=ORBIT
+        ),
+        # The flip turns the downward axis of a flat view upwards; the data keep their signs.
+        "portrait/plane": rr.Transform3D(scale=[1.0, -1.0, 1.0]),
+        "portrait/plane/axes": rr.LineStrips2D(
+            [[[-reach, 0.0], [reach, 0.0]], [[0.0, -reach], [0.0, reach]]],
+            colors=_AXES,
+            radii=points(0.5),
+            draw_order=0.0,
+        ),
+        "portrait/plane/names": rr.Points2D(
+            [[reach, 0.0], [0.0, reach]],
+            labels=[f"θ {reach:g}°", f"φ {reach:g}°"],
+            show_labels=True,
+            colors=_AXES,
+            radii=points(1.0),
+        ),
+        "portrait/plane/orbit": rr.LineStrips2D(
+            [orbit], colors=ORBIT, radii=points(1.5), draw_order=1.0
+        ),
+        "portrait/plane/trail": rr.LineStrips2D.from_fields(
+            colors=BASE, radii=points(1.0), draw_order=2.0
+        ),
+        "strain": rr.Image.from_fields(
+            format=rr.components.ImageFormat(
+                width=count,
+                height=4,
+                color_model=rr.ColorModel.RGB,
+                channel_datatype=rr.ChannelDatatype.U8,
+            )
+        ),
+    }
+    for name, colour, thick, size in (("base", BASE, 0.12, 5.0), ("target", TARGET, 0.06, 7.0)):
+        still[f"world/{name}/pointer"] = rr.Arrows3D(
+            vectors=pointer, radii=thick * radius, colors=colour
+        )
+        still[f"portrait/plane/{name}"] = rr.Points2D.from_fields(
+            colors=colour, radii=points(size), draw_order=40.0 - size
+        )
+    names = [f"compartment {index + 1}" for index in range(count)]
+    for spring, colour in enumerate(SPRINGS, start=1):
+        still[f"springs/{spring}"] = rr.SeriesLines(colors=_fading(colour, count), names=names)
+    for path, name, colour in _SERIES:
+        # A command holds from the moment of the row before to that of its own.
+        held = rr.components.InterpolationMode.StepBefore if path.endswith("command") else None
+        still[path] = rr.SeriesLines(colors=colour, names=name, interpolation_mode=held)
+    return still
 
 
 _SERIES: tuple[tuple[str, str, Colour], ...] = (
@@ -415,11 +368,11 @@ def _skin_normals(body: ArmParameters) -> NDArray[np.float32]:
     radii = np.linspace(body.base_radius, body.tip_radius, count + 1)
     corners = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     joints = radii[:, np.newaxis, np.newaxis] * corners
-    joints[..., 2] = body.rest_length * np.arange(count + 1)[:, np.newaxis]
-    rings = mesh.skin(joints)
-    middles = mesh.centres(joints)
-    middles = np.concatenate((middles, np.repeat(middles[-1:], len(rings) - count - 1, axis=0)))
-    outwards = rings - middles[:, np.newaxis]
+    # The cap of the tip is round about the last plane.
+    heights = body.rest_length * np.minimum(np.arange(count + 4), count)
+    joints[..., 2] = heights[: count + 1, np.newaxis]
+    outwards = mesh.skin(joints)
+    outwards[..., 2] -= heights[:, np.newaxis]
     outwards /= np.linalg.norm(outwards, axis=2, keepdims=True)
     return outwards.reshape(-1, 3).astype(np.float32)
 
@@ -430,13 +383,10 @@ def _skin_colours(compartments: int) -> NDArray[np.uint8]:
     return np.repeat(shades, mesh.SIDES, axis=0)
 
 
-def _fading(colour: Colour, count: int) -> list[Colour]:
-    """Shades of a colour, bright at the base, dim at the tip."""
-    shares = np.linspace(1.0, 0.35, count)
-    return [
-        (round(share * colour[0]), round(share * colour[1]), round(share * colour[2]))
-        for share in shares.tolist()
-    ]
+def _fading(colour: Colour, count: int) -> NDArray[np.uint8]:
+    """Shades of a colour, bright at the base, dim at the tip, (count, 3)."""
+    shades: NDArray[np.float64] = np.outer(np.linspace(1.0, 0.35, count), colour)
+    return np.rint(shades).astype(np.uint8)
 
 
 def _thinned(orbit: Float, points: int = 256) -> Float:
@@ -464,7 +414,7 @@ def _about(episode: Episode, title: str) -> str:
         "push [degrees]": episode.push.size if episode.push else "none",
         "noise [m]": episode.noise.size if episode.noise else "none",
         **settings,
-        "period of the target [s]": episode.period,
+        "period of the target [s]": episode.target.period,
     }
     lines = [f"# {title}", *_table("Episode", facts)]
     lines += _table("Streams", {f"`{path}`": meaning for path, meaning in STREAMS.items()})
