@@ -29,7 +29,7 @@ from octoarm_agents.experiments.emulation.trials import (
     record_trials,
     score_arm,
 )
-from octoarm_agents.reservoir.baselines import linear
+from octoarm_agents.reservoir.baselines import powers
 from octoarm_agents.reservoir.readout import Readout
 from PIL import Image
 
@@ -96,7 +96,7 @@ def test_the_linear_regressor_has_the_errors_of_table_2():
     errors = []
     for trial in range(20):
         drive = Drive.make("sines", 0, trial)
-        errors.append(list(score_features(linear(drive.signal), drive)[0]["test"].values()))
+        errors.append(list(score_features(powers(drive.signal, 1), drive)[0]["test"].values()))
     expected = [PAPER[task]["linear_regressor"][0] for task in TASKS]
     np.testing.assert_allclose(np.mean(errors, axis=0), expected, rtol=0.05)
 

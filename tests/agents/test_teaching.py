@@ -8,7 +8,6 @@ from octoarm_agents.experiments.cycles.floquet_trials import noise_response
 from octoarm_agents.reservoir import Readout
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release, score_window
 from octoarm_agents.reservoir.floquet import floquet_exponents
-from octoarm_agents.reservoir.teacher import TeacherRun
 from octoarm_agents.reservoir.teaching import UNDISTURBED, Lesson, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
 
@@ -183,8 +182,6 @@ class TestExponents:
             floquet_exponents(lesson.run, good, count=0)
         with pytest.raises(ValueError, match=r"has 20000 steps, begin \+ skip \+ steps = 26000"):
             floquet_exponents(lesson.run, good, steps=20_000)
-        with pytest.raises(ValueError, match="target = 'circle': expected one of"):
-            TeacherRun(BODY, "circle", 20.0, "direct", 1_000)
 
 
 class TestNoiseResponse:

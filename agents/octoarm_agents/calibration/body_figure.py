@@ -24,7 +24,6 @@ from octoarm_agents.common.plotting import (
     TASK_LABELS,
     VERMILLION,
     new_figure,
-    save_figure,
     write_letters,
 )
 
@@ -58,7 +57,7 @@ def draw_calibration(
         _draw_scatter(axes, name, tried, spaces)
     below[0].legend(fontsize=7, frameon=False)
     write_letters([above, *below])
-    save_figure(figure, path)
+    figure.savefig(path)
 
 
 def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:

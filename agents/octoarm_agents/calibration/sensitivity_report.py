@@ -17,7 +17,6 @@ from octoarm_agents.common.plotting import (
     TASK_LABELS,
     VERMILLION,
     new_figure,
-    save_figure,
     write_letters,
 )
 from octoarm_agents.experiments.emulation.protocol import TASKS
@@ -123,7 +122,7 @@ def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:
     figure.supxlabel(
         "line: the body as it is; dotted: the paper's; cross: leaves its domain", fontsize=8
     )
-    save_figure(figure, path)
+    figure.savefig(path)
 
 
 def _draw_amplitudes(axes: Any, changes: list[Mapping[str, Any]]) -> None:

@@ -46,8 +46,5 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8."""
-
-    def write(file: Path) -> None:
+    with atomic_file(path) as file:
         file.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)

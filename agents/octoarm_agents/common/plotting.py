@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -38,8 +37,3 @@ def write_letters(panels: Sequence[Axes]) -> None:
         for axis in (axes.xaxis, axes.yaxis):
             axis.label.set_fontsize(9)
         axes.spines[["top", "right"]].set_visible(False)
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending of the path tells the format."""
-    figure.savefig(path)

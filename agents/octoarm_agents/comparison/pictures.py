@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from octoarm_agents.common.plotting import (
     SKY,
     VERMILLION,
     new_figure,
-    save_figure,
 )
 from octoarm_env import LIMIT_CYCLES
 
@@ -67,7 +65,7 @@ def draw_all(result: Mapping[str, Any], out: Path) -> None:
         ("robustness", _draw_robustness(rows)),
         ("phase_portraits", _draw_portraits(rows, result["environment"])),
     ):
-        write_atomically(out / f"{name}.png", functools.partial(save_figure, figure))
+        write_atomically(out / f"{name}.png", figure.savefig)
 
 
 def _draw_curves(rows: Mapping[str, Sequence[Row]], teaching_steps: int) -> Figure:

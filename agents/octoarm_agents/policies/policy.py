@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from octoarm_agents.policies.policy_file import read_policy_file, write_policy_f
 from octoarm_env import ArmParameters
 
 
+@dataclass(eq=False, repr=False)
 class Policy:
     """Acts by a readout or a trained network; signature of a stable-baselines3 policy.
 
@@ -40,28 +42,22 @@ class Policy:
         ValueError: a network for another number of springs, or settings that are not these.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        algorithm: str,
-        parameters: ArmParameters,
-        settings: Mapping[str, Any],
-        training: Mapping[str, Any] | None = None,
-        seed: int | None = None,
-    ) -> None:
-        springs = 4 * parameters.compartments
-        if network.springs != springs:
+    network: Network
+    algorithm: str
+    parameters: ArmParameters
+    settings: dict[str, Any]
+    training: dict[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        self.settings, self.training = dict(self.settings), dict(self.training)
+        springs = 4 * self.parameters.compartments
+        if self.network.springs != springs:
             raise ValueError(
-                f"network takes {network.springs} lengths, the body has {springs} springs"
+                f"network takes {self.network.springs} lengths, the body has {springs} springs"
             )
-        if set(settings) != set(SETTINGS):
-            raise ValueError(f"settings holds {sorted(settings)}, expected {sorted(SETTINGS)}")
-        self.network = network
-        self.algorithm = algorithm
-        self.parameters = parameters
-        self.settings = dict(settings)
-        self.training = dict(training or {})
-        self.seed = seed
+        if set(self.settings) != set(SETTINGS):
+            raise ValueError(f"settings holds {sorted(self.settings)}, expected {sorted(SETTINGS)}")
 
     @property
     def parameter_count(self) -> int:

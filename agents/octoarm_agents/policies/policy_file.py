@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from octoarm_agents.common.environment import ENV_ID
-from octoarm_agents.common.files import write_atomically
+from octoarm_agents.common.files import atomic_file
 from octoarm_agents.common.provenance import package_versions
 
 FORMATS = ("octoarm-policy", "octoarm-network")
@@ -64,12 +64,8 @@ def write_policy_file(path: Path, header: Mapping[str, Any], arrays: Mapping[str
         text = json.dumps(entries, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"policy cannot be written as JSON: {error}") from None
-
-    def write(file: Path) -> None:
-        with file.open("wb") as stream:
-            np.savez_compressed(stream, description=np.array(text), **arrays)
-
-    write_atomically(path, write)
+    with atomic_file(path) as file:
+        np.savez_compressed(file, description=np.array(text), **arrays)
 
 
 def read_policy_file(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

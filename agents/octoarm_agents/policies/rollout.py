@@ -29,6 +29,11 @@ class PolicyPredictor(Protocol):
 class HoldPolicy:
     """Holds the base still in the middle: what doing nothing earns."""
 
+    @property
+    def held(self) -> Float:
+        """The action, (2,)."""
+        return np.zeros(2)
+
     def predict(
         self,
         observation: Any,
@@ -36,9 +41,9 @@ class HoldPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Give zeros, (2,) or (n, 2)."""
+        """Give the action that is held, (2,) or (n, 2)."""
         del episode_start, deterministic
-        return np.zeros((*np.shape(observation)[:-1], 2), np.float32), state
+        return np.full((*np.shape(observation)[:-1], 2), self.held, np.float32), state
 
 
 @dataclass(frozen=True)
@@ -174,8 +179,6 @@ class Episodes:
             actions=np.zeros((*shape, 2)),
         )
         self.steps_made = 0
-        self.lengths: Float
-        self.infos: dict[str, Any]
         self.lengths, self.infos = envs.reset(seed=seed)
 
     def step(self) -> NDArray[np.float32]:

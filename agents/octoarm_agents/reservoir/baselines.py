@@ -35,14 +35,12 @@ ESN_BIAS = 0.5
 """Size of the nodes' random biases; without them tanh is odd, and no even task can be done."""
 
 
-def linear(signal: Float) -> Float:
-    """The paper's linear regressor, a In(t) + b. (T, 2)."""
-    return _powers(signal, 1)
+def powers(signal: Float, degree: int) -> Float:
+    """1, In / 0.2, …, (In / 0.2)^degree: all polynomials of In(t), without memory. (T, degree + 1).
 
-
-def cubic(signal: Float) -> Float:
-    """All polynomials of In(t) up to degree 3, without memory. (T, 4)."""
-    return _powers(signal, 3)
+    Those of degree 1 are the paper's linear regressor, a In(t) + b.
+    """
+    return np.vander(signal / PEAK, degree + 1, increasing=True)
 
 
 def delay_features(signal: Float, delays: Sequence[int]) -> Float:
@@ -125,16 +123,11 @@ def echo_state_network(
 
 
 BASELINES: dict[str, Features] = {
-    "linear_regressor": lambda signal, random: linear(signal),
-    "mean_predictor": lambda signal, random: _powers(signal, 0),
-    "cubic": lambda signal, random: cubic(signal),
+    "linear_regressor": lambda signal, random: powers(signal, 1),
+    "mean_predictor": lambda signal, random: powers(signal, 0),
+    "cubic": lambda signal, random: powers(signal, 3),
     "delay2": lambda signal, random: delayed_polynomial(signal, 2),
     "delay3": lambda signal, random: delayed_polynomial(signal, 3),
     "esn80": echo_state_network,
 }
 """Features by the baseline's name; only the last draws anything."""
-
-
-def _powers(signal: Float, degree: int) -> Float:
-    """1, In / 0.2, …, (In / 0.2)^degree. (T, degree + 1)."""
-    return np.vander(signal / PEAK, degree + 1, increasing=True)

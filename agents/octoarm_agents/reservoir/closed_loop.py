@@ -15,6 +15,7 @@ import numpy as np
 
 from octoarm_agents.common.orbit import is_held, orbit_distance, steps_to_return, turn_time
 from octoarm_agents.common.whole import whole_number
+from octoarm_agents.reservoir.readout import readout_outputs
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 from octoarm_env.arrays import Float
 
@@ -159,33 +160,31 @@ class ClosedLoop:
 
     def _run(self, steps: int, perturbation: Float | None, kept: list[Float] | None) -> Float:
         steps = whole_number("steps", steps)
-        made: list[Float] = [np.empty((0, 2))]
+        before = len(self.outputs)
         for begin in range(0, steps, _CHUNK):
             if self.failure is not None:
                 break
             count = min(_CHUNK, steps - begin)
             noise = None if perturbation is None else perturbation[begin : begin + count]
             outputs, lengths = self._move(count, noise)
-            made.append(outputs)
             self._chunks.append(outputs)
             if kept is not None:
                 kept.append(lengths)
             self._advance(len(outputs))
-        return np.concatenate(made)
+        return self.outputs[before:]
 
     def _move(self, count: int, noise: Float | None) -> tuple[Float, Float]:
         """One chunk; sets `failure` and cuts off what came after it."""
-        refused: DomainError | None = None
+        ended = False
         try:
             outputs, lengths = self.arm.run_closed_loop(self.weights, count, noise)
         except DomainError as error:
             if error.outputs is None or error.lengths is None:
                 raise
-            refused, outputs, lengths = error, error.outputs, error.lengths
-        if refused is not None:
-            self._fail(describe_domain_error(refused), len(outputs))
+            outputs, lengths, ended = error.outputs, error.lengths, True
+            self._fail(describe_domain_error(error), len(outputs))
         if noise is None:
-            outputs = self._find_jump(outputs, refused is not None)
+            outputs = self._find_jump(outputs, ended)
             lengths = lengths[: len(outputs)]
         self._previous = outputs[-1] if noise is None and len(outputs) else None
         self._find_rest(outputs)
@@ -197,9 +196,7 @@ class ClosedLoop:
         said = [] if self._previous is None else [self._previous[np.newaxis]]
         said.append(outputs)
         if ended:
-            springs = len(self.arm.lengths)
-            refused = self.arm.lengths @ self.weights[:springs] + self.weights[springs:].sum(axis=0)
-            said.append(refused[np.newaxis])
+            said.append(readout_outputs(self.arm.lengths, self.weights)[np.newaxis])
         changes = np.abs(np.diff(np.concatenate(said), axis=0)).max(axis=1, initial=0.0)
         jumps = np.flatnonzero(changes > self._jump)
         if len(jumps) == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal, Self, cast
 
 import numpy as np
@@ -17,11 +18,24 @@ Method = Literal["pinv", "ridge", "noise"]
 METHODS = ("pinv", "ridge", "noise")
 
 
+def readout_outputs(lengths: Float, weights: Float) -> Float:
+    """What a readout says (Eq. 26), (…, outputs).
+
+    Args:
+        lengths: (…, springs) [m].
+        weights: (springs, outputs), or (springs + 1, outputs) with the bias last.
+    """
+    springs = lengths.shape[-1]
+    outputs: Float = lengths @ weights[:springs]
+    return outputs + weights[springs] if len(weights) > springs else outputs
+
+
 def noise_ridge(rows: int, noise: float) -> float:
     """M ν²/3: what white noise, uniform in [-ν, ν], adds to the diagonal of SᵀS for M rows [m²]."""
     return rows * noise**2 / 3
 
 
+@dataclass(eq=False, repr=False)
 class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """A linear readout of the spring lengths, a scikit-learn regressor.
 
@@ -66,20 +80,12 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         feature_names_in_: (springs,), only after a fit to a data frame with column names.
     """
 
-    def __init__(
-        self,
-        method: Method = "pinv",
-        *,
-        tolerance: float | None = None,
-        ridge: float = 0.0,
-        noise: float = 0.0,
-        bias: bool = False,
-    ) -> None:
-        self.method = method
-        self.tolerance = tolerance
-        self.ridge = ridge
-        self.noise = noise
-        self.bias = bias
+    method: Method = "pinv"
+    _: KW_ONLY
+    tolerance: float | None = None
+    ridge: float = 0.0
+    noise: float = 0.0
+    bias: bool = False
 
     def fit(
         self,
@@ -142,7 +148,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         self.weights_ = weights
         self.singular_values_ = singular
         self.rank_ = int(np.count_nonzero(kept))
-        residuals = targets - self._outputs(lengths)
+        residuals = targets - readout_outputs(lengths, self.weights_)
         self.training_error_ = math.sqrt(float(np.einsum("to,to->", residuals, residuals)) / rows)
         return self
 
@@ -156,7 +162,8 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             (T, outputs), or (T,) after a fit to one-dimensional targets.
         """
         check_is_fitted(self)
-        outputs = self._outputs(validate_data(self, X, dtype=np.float64, reset=False))
+        lengths = validate_data(self, X, dtype=np.float64, reset=False)
+        outputs = readout_outputs(lengths, self.weights_)
         return outputs[:, 0] if self.single_output_ else outputs
 
     @property
@@ -183,11 +190,6 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
         _check_number("noise", self.noise, "a number of metres, finite and not negative")
         if self.tolerance is not None:
             _check_number("tolerance", self.tolerance, "None or a number in [0, 1)", below=1.0)
-
-    def _outputs(self, lengths: Float) -> Float:
-        springs = lengths.shape[1]
-        outputs: Float = lengths @ self.weights_[:springs]
-        return outputs + self.weights_[springs] if len(self.weights_) > springs else outputs
 
 
 def _triangle(lengths: Float, targets: Float, penalties: Float, bias: bool) -> tuple[Float, Float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from octoarm_agents.reservoir.readout import readout_outputs
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, Linearisation
 from octoarm_env.arrays import Float
 
@@ -13,6 +15,7 @@ POINTS = 100
 """Points of a turn at which the step is linearised; between two of them it is taken as constant."""
 
 
+@dataclass(eq=False, repr=False)
 class TeacherRun:
     """An arm from rest that the teacher forces along a limit cycle, and what its springs say.
 
@@ -21,35 +24,27 @@ class TeacherRun:
         target: name of the limit cycle.
         amplitude: R, the largest angle of the target [degrees].
         actuator: ``"direct"`` or ``"servo"``.
+        steps: for which the arm is forced.
         signal: (steps + 1, 2), the commands; row t+1 is what a readout must give for the lengths of
             row t [degrees].
         lengths: (steps, springs), after each step [m].
         turn: steps of a turn of the target.
+
+    Raises:
+        DomainError: the arm cannot follow the teacher.
     """
 
-    def __init__(
-        self,
-        parameters: ArmParameters,
-        target: str,
-        amplitude: float,
-        actuator: Literal["direct", "servo"],
-        steps: int,
-    ) -> None:
-        """Force the arm for `steps` physics steps.
+    parameters: ArmParameters
+    target: str
+    amplitude: float
+    actuator: Literal["direct", "servo"]
+    steps: int
 
-        Raises:
-            ValueError: an unknown target or actuator, an amplitude that is not positive.
-            DomainError: the arm cannot follow the teacher.
-        """
-        if target not in LIMIT_CYCLES:
-            raise ValueError(f"target = {target!r}: expected one of {sorted(LIMIT_CYCLES)}")
-        self.parameters = parameters
-        self.target = target
-        self.amplitude = amplitude
-        self.actuator = actuator
-        self.signal = LIMIT_CYCLES[target].signal(steps + 1, amplitude)
-        self.lengths = Arm(parameters, actuator).run(self.signal[:-1])
-        self.turn = LIMIT_CYCLES[target].period / parameters.timestep
+    def __post_init__(self) -> None:
+        cycle = LIMIT_CYCLES[self.target]
+        self.signal = cycle.signal(self.steps + 1, self.amplitude)
+        self.lengths = Arm(self.parameters, self.actuator).run(self.signal[:-1])
+        self.turn = cycle.period / self.parameters.timestep
         self._maps: dict[int, tuple[Arm, list[Linearisation]]] = {}
 
     def arm_after(self, steps: int) -> Arm:
@@ -101,10 +96,7 @@ class TeacherRun:
         Returns:
             (end - begin, 2) [degrees], a perturbation for `Arm.run_closed_loop`.
         """
-        springs = self.lengths.shape[1]
-        outputs = self.lengths[begin - 1 : end - 1] @ weights[:springs]
-        if len(weights) > springs:
-            outputs += weights[springs]
+        outputs = readout_outputs(self.lengths[begin - 1 : end - 1], weights)
         offsets: Float = self.signal[begin:end] - outputs
         return offsets
 

@@ -72,7 +72,7 @@ def tune(
     evaluations: int = 160,
     noise: float = 0.01,
     seed: int = 1,
-    advance: Callable[[], None] | None = None,
+    advance: Callable[[], None] = lambda: None,
 ) -> Tuned:
     """Find ν and κ with which the loop holds a cycle.
 
@@ -115,7 +115,7 @@ def tune(
             results = []
             for candidate in candidates:
                 results.append(judge.judge(10.0 ** np.asarray(candidate)))
-                if advance is not None and len(record) + len(results) <= evaluations:
+                if len(record) + len(results) <= evaluations:
                     advance()
             record += results
             search.tell(candidates, [result["score"] for result in results])

@@ -19,17 +19,10 @@ def layout(episode: Episode) -> rrb.Blueprint:
     length = body.rest_length * body.compartments
     ground = rrb.archetypes.PlotBackground(color=_SEA, show_grid=True)
     reach = 1.12 * episode.action_range
-    late = [
-        rrb.VisibleTimeRange(
-            "time",
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-LATE),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        ),
-        rrb.VisibleTimeRange(
-            "step",
-            start=rrb.TimeRangeBoundary.cursor_relative(seq=-round(LATE / episode.control_period)),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        ),
+    now, late = rrb.TimeRangeBoundary.cursor_relative, round(LATE / episode.control_period)
+    trail = [
+        rrb.VisibleTimeRange("time", start=now(seconds=-LATE), end=now()),
+        rrb.VisibleTimeRange("step", start=now(seq=-late), end=now()),
     ]
 
     def series(origin: str, name: str, contents: Any = "$origin/**") -> rrb.TimeSeriesView:
@@ -61,7 +54,7 @@ def layout(episode: Episode) -> rrb.Blueprint:
         name="Base: θ to the right, φ upwards",
         background=_SEA,
         visual_bounds=rrb.VisualBounds2D(x_range=[-reach, reach], y_range=[-reach, reach]),
-        overrides={"/portrait/plane/trail": rrb.VisibleTimeRanges(late)},
+        overrides={"/portrait/plane/trail": rrb.VisibleTimeRanges(trail)},
     )
     about = rrb.Tabs(
         rrb.TextDocumentView(origin="/about", name="About"),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from octoarm_agents.policies.rollout import HoldPolicy
+from octoarm_env.arrays import Float
 from octoarm_env.rendering.window import WITHOUT_DISPLAY, Window, WindowError
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from octoarm_env.rendering import Camera
 
 
-class MousePolicy:
+class MousePolicy(HoldPolicy):
     """Leans the base where the mouse has dragged it.
 
     Attributes:
@@ -26,19 +27,13 @@ class MousePolicy:
         self._range = action_range
         self.window: Window | None = None
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
-        """Give the action that leans the base there, (2,) or (n, 2)."""
-        del episode_start, deterministic
-        angles = np.zeros((*np.shape(observation)[:-1], 2))
-        if self.window is not None:
-            angles += self.window.renderer.tilt_towards(*self.window.lean.tolist())
-        return np.clip(angles / self._range, -1.0, 1.0).astype(np.float32), state
+    @property
+    def held(self) -> Float:
+        """The action that leans the base there, (2,)."""
+        if self.window is None:
+            return super().held
+        angles = self.window.renderer.tilt_towards(*self.window.lean.tolist())
+        return np.clip(angles / self._range, -1.0, 1.0)
 
 
 def show_in_window(

@@ -33,7 +33,7 @@ from octoarm_agents.experiments.emulation.trials import SPRINGS_PER_COMPARTMENT
 from octoarm_agents.experiments.plots import compartment_colours
 from octoarm_agents.experiments.runner import Experiment, RunSettings, round_numbers
 from octoarm_agents.experiments.tables import ResultTable, format_number
-from octoarm_agents.reservoir.baselines import linear
+from octoarm_agents.reservoir.baselines import powers
 from octoarm_agents.reservoir.closed_loop import describe_domain_error
 from octoarm_agents.reservoir.inputs import TIMESTEP
 from octoarm_env import Arm, DomainError
@@ -58,7 +58,7 @@ def run(settings: RunSettings) -> dict[str, Any]:
     begin = drive.test.start
     shown = slice(begin, begin + SHOWN_STEPS, EVERY)
     (lengths,) = record_many([Arm(settings.parameters)], [drive], [amplitude])
-    known = {"linear_regressor": linear(drive.signal)}
+    known = {"linear_regressor": powers(drive.signal, 1)}
     failure = None
     if isinstance(lengths, DomainError):
         failure = describe_domain_error(lengths)
