@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -20,6 +22,17 @@ from octoarm_agents.reservoir import ReadoutPolicy, train_policy
 from octoarm_env import ArmParameters, TeacherPolicy
 
 
+class Seen:
+    """A policy, and what it has seen."""
+
+    def __init__(self, policy) -> None:
+        self.policy, self.lengths = policy, []
+
+    def predict(self, observation, *args, **kwargs):
+        self.lengths.append(observation)
+        return self.policy.predict(observation, *args, **kwargs)
+
+
 @pytest.fixture(scope="module")
 def readout() -> ReadoutPolicy:
     return train_policy(steps=1000)
@@ -30,12 +43,13 @@ def make_envs(readout: ReadoutPolicy, count: int, steps: int):
 
 
 def test_a_rollout_is_what_single_environments_do(readout: ReadoutPolicy) -> None:
-    rollout = roll_out(readout, make_envs(readout, 3, 60), seed=7, steps=60, keep_lengths=True)
+    seen = Seen(readout)
+    rollout = roll_out(seen, make_envs(readout, 3, 60), seed=7, steps=60)
     for index in range(3):
         env = gym.make("OctoArm-v0")
         observation, _ = env.reset(seed=7 + index)
         for step in range(60):
-            np.testing.assert_allclose(rollout.lengths[step, index], observation, atol=1e-9)
+            np.testing.assert_allclose(seen.lengths[step][index], observation, atol=1e-9)
             action, _ = readout.predict(observation)
             observation, reward, _, _, info = env.step(action)
             assert rollout.rewards[step, index] == pytest.approx(reward, abs=1e-6)
@@ -68,23 +82,13 @@ def test_a_push_is_what_it_says() -> None:
 
 
 def test_noise_reaches_the_agent_alone(readout: ReadoutPolicy) -> None:
-    class Spy(HoldPolicy):
-        def predict(self, observation, *args, **kwargs):
-            seen.append(observation)
-            return super().predict(observation, *args, **kwargs)
-
-    seen: list[np.ndarray] = []
-    noisy = roll_out(
-        Spy(),
-        make_envs(readout, 5, 40),
-        seed=0,
-        steps=40,
-        noise=Noise(1e-4, 10, 20),
-        keep_lengths=True,
+    noisy, plain = Seen(HoldPolicy()), Seen(HoldPolicy())
+    first, second = (
+        roll_out(policy, make_envs(readout, 5, 40), seed=0, steps=40, noise=noise)
+        for policy, noise in ((noisy, Noise(1e-4, 10, 20)), (plain, None))
     )
-    plain = roll_out(HoldPolicy(), make_envs(readout, 5, 40), seed=0, steps=40)
-    np.testing.assert_array_equal(noisy.angles, plain.angles)
-    difference = np.abs(np.array(seen) - noisy.lengths)
+    np.testing.assert_array_equal(first.angles, second.angles)
+    difference = np.abs(np.array(noisy.lengths) - np.array(plain.lengths))
     assert difference[:10].max() == difference[30:].max() == 0
     assert 0.99e-4 < difference[10:30].max() <= 1e-4
     assert difference[10:30].mean() == pytest.approx(0.5e-4, rel=0.05)
@@ -192,10 +196,10 @@ def test_evaluation_does_not_depend_on_threads(readout: ReadoutPolicy) -> None:
 
 
 def test_other_bodies_can_be_evaluated(readout: ReadoutPolicy) -> None:
-    body = ArmParameters(arm_density=1100.0)
+    heavy = replace(readout, parameters=ArmParameters(arm_density=1100.0))
     own, other = (
-        evaluate_policy(readout, readout, episodes=2, steps=100, body=each, threads=1)
-        for each in (None, body)
+        evaluate_policy(readout, home, episodes=2, steps=100, threads=1)
+        for home in (readout, heavy)
     )
     assert other["return"] < own["return"]
 

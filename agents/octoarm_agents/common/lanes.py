@@ -59,11 +59,9 @@ def _record_alone(arms: Sequence[Arm], angles: Sequence[Float]) -> list[Recordin
 def _record_together(arms: Sequence[Arm], angles: Sequence[Float]) -> list[Recording]:
     """Record arms of as many compartments each."""
     steps = [len(commands) for commands in angles]
-    padded = np.empty((len(arms), max(steps), 2))
-    for rows, commands in zip(padded, angles, strict=True):
-        rows[: len(commands)] = commands
-        rows[len(commands) :] = commands[-1:]
-    run = ArmBatch(arms, threads=1).run(padded)
+    longest = max(steps)
+    padded = [np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in angles]
+    run = ArmBatch(arms, threads=1).run(np.stack(padded))
     recordings: list[Recording] = []
     for lengths, own, failure in zip(run.lengths, steps, run.failures, strict=True):
         # What happens beyond its own commands is nothing to an arm.

@@ -51,11 +51,9 @@ def progress_bar(
 
     stream = sys.stderr
     options |= {"total": total, "desc": description, "unit": unit, "initial": initial}
-    if shown is False or stream is None:
-        with tqdm(**options, disable=True) as bar:
-            yield bar
-    elif shown or stream.isatty():
-        with tqdm(**options, file=stream, leave=False) as bar:
+    nothing = shown is False or stream is None
+    if nothing or shown or stream.isatty():
+        with tqdm(**options, file=stream, leave=False, disable=nothing) as bar:
             yield bar
     else:
         # The bar counts; what it would draw goes nowhere.

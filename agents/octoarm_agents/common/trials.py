@@ -78,10 +78,8 @@ def run_trials(
         for each in enumerate(zip(settings, files, fingerprints, strict=True))
         if each[0] not in results
     ]
-    if record is None:
-        shares = [slice(index, index + 1) for index in range(len(missing))]
-    else:
-        shares = share_out(len(missing), jobs)
+    # Without `record` every trial is a share of its own.
+    shares = share_out(len(missing), len(missing) if record is None else jobs)
     calls = (delayed(_run_share)(function, parameters, record, missing[each]) for each in shares)
     with progress_bar(len(settings), description, initial=len(results), shown=progress) as bar:
         run = Parallel(n_jobs=min(jobs, max(len(shares), 1)), return_as="generator_unordered")

@@ -64,7 +64,6 @@ def evaluate_policy(
     seed: int = 10_000,
     push: Push | None = None,
     noise: Noise | None = None,
-    body: ArmParameters | None = None,
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Let an agent act.
@@ -77,7 +76,6 @@ def evaluate_policy(
         seed: of the first; episode i has seed + i.
         push: disturbs the base.
         noise: disturbs what the agent sees.
-        body: another body; None: that of `home`.
         threads: that step the arms; the figures do not depend on it.
 
     Returns:
@@ -87,9 +85,7 @@ def evaluate_policy(
         ValueError: numbers out of range, or a body with another number of springs.
     """
     episodes, steps = whole_number("episodes", episodes, 1), whole_number("steps", steps, 1)
-    envs = make_vector_env(
-        episodes, body or home.parameters, home.settings, steps=steps, threads=threads
-    )
+    envs = make_vector_env(episodes, home.parameters, home.settings, steps=steps, threads=threads)
     try:
         rollout = roll_out(
             acting(policy, envs), envs, seed=seed, steps=steps, push=push, noise=noise

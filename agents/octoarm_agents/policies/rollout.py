@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -109,8 +109,6 @@ class Rollout:
         errors: distance of the base from its target, (T, n) [degrees].
         alive: whether the episode still ran when the step began, (T, n).
         failed: whether the arm left its domain, (n,).
-        lengths: spring lengths that were to be seen when the step began, (T, n, springs) [m], or
-            None if they were not asked for.
         actions: what the policy did, (T, n, 2).
     """
 
@@ -120,7 +118,6 @@ class Rollout:
     alive: NDArray[np.bool_]
     failed: NDArray[np.bool_]
     actions: Float
-    lengths: Float | None = None
 
     @property
     def returns(self) -> Float:
@@ -212,7 +209,6 @@ def roll_out(
     steps: int = 500,
     push: Push | None = None,
     noise: Noise | None = None,
-    keep_lengths: bool = False,
 ) -> Rollout:
     """Let a policy act in as many episodes as there are environments.
 
@@ -223,7 +219,6 @@ def roll_out(
         steps: T, control periods.
         push: disturbs the base.
         noise: disturbs what the policy sees.
-        keep_lengths: keep the lengths (without noise).
 
     Returns:
         What happened; the same for a seed, to the bit, on one machine.
@@ -232,9 +227,6 @@ def roll_out(
         ValueError: fewer than one step, or a seed below 0.
     """
     episodes = Episodes(policy, envs, seed=seed, steps=steps, push=push, noise=noise)
-    kept = np.empty((episodes.steps, *episodes.lengths.shape)) if keep_lengths else None
-    for step in range(episodes.steps):
-        if kept is not None:
-            kept[step] = episodes.lengths
+    for _ in range(episodes.steps):
         episodes.step()
-    return replace(episodes.rollout, lengths=kept)
+    return episodes.rollout

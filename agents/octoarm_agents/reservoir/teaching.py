@@ -33,7 +33,7 @@ from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.reservoir.floquet import floquet_exponents
 from octoarm_agents.reservoir.readout import Readout, noise_ridge
 from octoarm_agents.reservoir.teacher import TeacherRun
-from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
+from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 from octoarm_env.arrays import Float
 
 TIME_SCALES = (0, 3, 10, 30, 100, 300)
@@ -215,9 +215,9 @@ def _response(run: TeacherRun, scale: int, random: np.random.Generator) -> Float
     """Triangle F (springs, springs) with FᵀF = <δs δsᵀ> [m²] for disturbances of one degree."""
     size = _DISTURBANCE * (1.0 if scale else _WHITE)
     noise = size * _disturbance(_RECORDED, scale, random)
-    begin, end = _BEGIN, _BEGIN + _RECORDED
-    arm: Arm = run.arm_after(begin)
-    deviations = arm.run(run.signal[begin:end] + noise) - run.lengths[begin:end]
+    recorded = slice(_BEGIN, _BEGIN + _RECORDED)
+    disturbed = run.arm_after(_BEGIN).run(run.signal[recorded] + noise)
+    deviations = disturbed - run.lengths[recorded]
     return _triangle(deviations / (size * math.sqrt(_RECORDED)))
 
 

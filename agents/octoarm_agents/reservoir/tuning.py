@@ -128,16 +128,11 @@ class _Judge:
     """Closes the loop of each candidate from the same start, under the same noise."""
 
     def __init__(self, lesson: Lesson, noise: float) -> None:
-        run = lesson.run
-        self._lesson = lesson
-        self._amplitude = run.amplitude
-        self._start = run.arm_after(FORCED_STEPS)
-        self._orbit = LIMIT_CYCLES[run.target].orbit(run.amplitude)
-        self._period = run.turn
-        self._noise = np.zeros((TRIAL_STEPS, 2))
-        half = TRIAL_STEPS // 2
-        random = np.random.default_rng(0)
-        self._noise[:half] = random.uniform(-noise, noise, (half, 2))
+        self._lesson, self._run = lesson, lesson.run
+        self._start = self._run.arm_after(FORCED_STEPS)
+        self._orbit = LIMIT_CYCLES[self._run.target].orbit(self._run.amplitude)
+        drawn = np.random.default_rng(0).uniform(-noise, noise, (TRIAL_STEPS // 2, 2))
+        self._noise = np.concatenate((drawn, np.zeros_like(drawn)))
 
     def judge(self, sizes: Float) -> dict[str, Any]:
         """A candidate (ν, κ...) with its score; the lower, the better."""
@@ -148,7 +143,7 @@ class _Judge:
         else:
             exponents = self._lesson.exponents(weights, steps=800)
             score = 2.0 - steps / TRIAL_STEPS + _instability(exponents)
-            score += 0.7 * max(0.0, math.log10(error / self._amplitude / _LARGE_ERROR))
+            score += 0.7 * max(0.0, math.log10(error / self._run.amplitude / _LARGE_ERROR))
         return {
             "noise": float(sizes[0]),
             "disturbances": sizes[1:].tolist(),
@@ -160,19 +155,19 @@ class _Judge:
     def _trial(self, weights: Float) -> tuple[int, float | None]:
         """Steps that the loop held the cycle, and its distance in the end if it did throughout."""
         loop = ClosedLoop(
-            copy.deepcopy(self._start), weights, self._amplitude, jump=None, rest=None
+            copy.deepcopy(self._start), weights, self._run.amplitude, jump=None, rest=None
         )
         for begin in range(0, TRIAL_STEPS, _CHUNK):
             outputs = loop.run(_CHUNK, self._noise[begin : begin + _CHUNK])
             if loop.failure is not None:
                 return len(loop.outputs), None
-            near = orbit_distance(outputs[-_NEAR_STEPS:], self._orbit).mean() / self._amplitude
+            near = orbit_distance(outputs[-_NEAR_STEPS:], self._orbit).mean() / self._run.amplitude
             if near > _LOST:
                 return len(loop.outputs), None
         window = outputs[-_WINDOW_STEPS:]
-        if not abs(turn_time(window[:, 1]) / self._period - 1) < _PERIOD:
+        if not abs(turn_time(window[:, 1]) / self._run.turn - 1) < _PERIOD:
             return TRIAL_STEPS, None
-        distances = orbit_distance(window, self._orbit) / self._amplitude
+        distances = orbit_distance(window, self._orbit) / self._run.amplitude
         return TRIAL_STEPS, float(distances.mean() + 0.2 * distances.max())
 
 
