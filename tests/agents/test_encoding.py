@@ -68,7 +68,10 @@ def test_every_command_gives_its_help(encoding: str, tmp_path: Path) -> None:
         ("ascii", ("evaluate", "hold/quadratic", "--episodes", "1", "--steps", "20"), "error (?)"),
         (
             "ascii",
-            ("analyse", "states", "--states", "s.npy", "--input", "u.npy", "--out", "a"),
+            (
+                *("analyse", "states", "--states", "s.npy", "--input", "u.npy", "--out", "a"),
+                *("--max-delay", "10", "--delays", "10,4", "--washout", "20"),
+            ),
             "Wrote a",
         ),
     ],

@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from octoarm_agents.experiments.cycles import (
+    bursts,
     figure11,
     figure12,
     figure13,
     floquet,
     limit_cycles,
     taught,
+    trials,
 )
 from octoarm_agents.experiments.cycles.floquet_trials import (
     is_stable,
@@ -80,6 +82,8 @@ def reproduce(octoarm, out, monkeypatch):
         monkeypatch.setitem(CYCLES, target, teachings)
     for module in (limit_cycles, figure11):
         monkeypatch.setattr(module, "BURSTS", (1e-4, 10.0))
+    for module in (trials, bursts, limit_cycles):
+        monkeypatch.setattr(module, "BURST_RUN", 16_000)
     monkeypatch.setattr(taught, "NOISE_SEEDS", 2)
 
     def run(name, *options):

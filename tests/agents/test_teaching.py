@@ -16,6 +16,8 @@ from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
 # Told in full where loops depend on it, whatever the default body is.
 BODY = ArmParameters.preset("inertial").replace(area_scale=5.0)
 
+QUICK = BODY.replace(compartments=10)
+
 SOME = (1e-3, 2e-3, 5e-3, 5e-3, 2e-3, 1e-2)
 
 GOOD = Teaching("lissajous", 20.0, 1e-4, steps=20_000, washout=4_000)
@@ -28,6 +30,12 @@ TURN = LIMIT_CYCLES["lissajous"].period / BODY.timestep
 @pytest.fixture(scope="module")
 def lesson():
     return Lesson(BODY, GOOD)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """The lesson of a body that is quick, since it has few compartments."""
+    return Lesson(QUICK, GOOD)
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +63,14 @@ class TestTeaching:
         readout = Readout("noise", noise=GOOD.noise).fit(lengths, signal[1 + GOOD.washout :])
         np.testing.assert_array_equal(fitted.weights_, readout.weights_)
 
-    def test_a_lesson_gives_what_teach_gives(self, lesson):
-        taught = teach(BODY, replace(GOOD, disturbances=SOME))
+    def test_a_lesson_gives_what_teach_gives(self, quick):
+        taught = teach(QUICK, replace(GOOD, disturbances=SOME))
         assert taught.teaching == replace(GOOD, disturbances=SOME)
         exact = taught.readout.weights_
         # `teach` sums in one thread, this lesson in as many as there are: other last digits.
-        again = lesson.fit(taught.teaching).weights_
+        again = quick.fit(taught.teaching).weights_
         np.testing.assert_allclose(again, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
-        weights, error = lesson.weights(GOOD.noise, SOME)
+        weights, error = quick.weights(GOOD.noise, SOME)
         # The triangular factor of the rows loses some of 16 digits.
         np.testing.assert_allclose(weights, exact, rtol=0, atol=1e-8 * np.abs(exact).max())
         assert error == pytest.approx(taught.readout.training_error_, rel=1e-6)
@@ -97,13 +105,13 @@ class TestTeaching:
         answers = [np.square(deviations @ weights).mean() for weights in (plain, weighted)]
         assert answers[1] < answers[0]
 
-    def test_the_seed_is_that_of_the_disturbances(self, lesson):
-        other = Lesson(BODY, replace(GOOD, seed=1))
+    def test_the_seed_is_that_of_the_disturbances(self, quick):
+        other = Lesson(QUICK, replace(GOOD, seed=1))
         np.testing.assert_array_equal(
-            other.weights(GOOD.noise, UNDISTURBED)[0], lesson.weights(GOOD.noise, UNDISTURBED)[0]
+            other.weights(GOOD.noise, UNDISTURBED)[0], quick.weights(GOOD.noise, UNDISTURBED)[0]
         )
         assert not np.array_equal(
-            other.weights(GOOD.noise, SOME)[0], lesson.weights(GOOD.noise, SOME)[0]
+            other.weights(GOOD.noise, SOME)[0], quick.weights(GOOD.noise, SOME)[0]
         )
 
     @pytest.mark.parametrize(
@@ -197,11 +205,11 @@ class TestNoiseResponse:
 
 class TestTuning:
     def test_the_same_seed_finds_the_same(self):
-        # Few compartments make a quick body; some of its loops hold and others are lost.
-        teaching, body = replace(GOOD, steps=18_000, washout=4_000), BODY.replace(compartments=10)
+        # Some of this body's loops hold and others are lost.
+        teaching = replace(GOOD, steps=18_000, washout=4_000)
         seen = []
-        first = tune(body, teaching, evaluations=8, seed=3, advance=lambda: seen.append(1))
-        again = tune(body, teaching, evaluations=8, seed=3)
+        first = tune(QUICK, teaching, evaluations=8, seed=3, advance=lambda: seen.append(1))
+        again = tune(QUICK, teaching, evaluations=8, seed=3)
         assert len(seen) == len(first.record) == 8
         assert again == first
         best = min(first.record, key=lambda result: result["score"])
