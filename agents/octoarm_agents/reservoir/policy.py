@@ -9,15 +9,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from octoarm_agents.common.environment import ENV_ID, check_spaces, inspect_env
+from octoarm_agents.common.environment import ENV_ID, Env, check_spaces, inspect_env
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.policy import Policy
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import TeacherPolicy
 from octoarm_env.arrays import Float
-
-Env = gym.Env[Any, Any]
 
 ReadoutPolicy = Policy
 """Its name before networks were the same."""
