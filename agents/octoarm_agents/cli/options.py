@@ -74,23 +74,24 @@ def read_body(path: Path | None) -> ArmParameters:
     """The body of that name or in that JSON file, the default body for None."""
     from octoarm_env import ArmParameters
 
-    try:
+    with refused("--arm"):
         return ArmParameters.of(None if path is None else str(path))
-    except OSError as error:
-        reason = f"cannot read {path}: {error.strerror}."
-    except ValueError as error:
-        reason = str(error)
-    raise typer.BadParameter(reason, param_hint="'--arm'")
 
 
 @contextmanager
-def refused(option: str | None = None) -> Iterator[None]:
-    """Turn a ValueError within into the usual answer to a bad option."""
+def refused(option: str | None = None, about: str = "") -> Iterator[None]:
+    """Turn a ValueError within, or what the system refuses, into the answer to a bad option.
+
+    `about` stands before the message.
+    """
+    hint = None if option is None else f"'{option}'"
     try:
         yield
     except ValueError as error:
-        hint = None if option is None else f"'{option}'"
-        raise typer.BadParameter(f"{error}.", param_hint=hint) from None
+        raise typer.BadParameter(f"{about}{error}.", param_hint=hint) from None
+    except OSError as error:
+        file = f"cannot open {error.filename}: " if error.filename else ""
+        raise typer.BadParameter(f"{file}{error.strerror or error}.", param_hint=hint) from None
 
 
 @contextmanager
@@ -129,6 +130,7 @@ Body = Annotated[Path | None, typer.Option("--arm", help=_BODY, show_default="th
 OtherBody = Annotated[
     Path | None, typer.Option("--arm", help=_BODY, show_default="the agent's own body")
 ]
+_TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
 Actuator = Annotated[
     Literal["direct", "servo"],
     typer.Option(
@@ -136,14 +138,17 @@ Actuator = Annotated[
     ),
 ]
 Target = Annotated[
-    Literal["quadratic", "van_der_pol", "lissajous"],
+    _TargetName,
     typer.Option(
         metavar="NAME", help="Limit cycle: quadratic, van_der_pol or lissajous (Eqs. 28, 27, 29)."
     ),
 ]
 TargetArgument = Annotated[
-    Literal["quadratic", "van_der_pol", "lissajous"],
-    typer.Argument(help="The limit cycle: quadratic, van_der_pol or lissajous."),
+    _TargetName, typer.Argument(help="The limit cycle: quadratic, van_der_pol or lissajous.")
+]
+MouseTarget = Annotated[
+    _TargetName | None,
+    typer.Option("--target", help="What the mouse is to follow.", show_default="quadratic"),
 ]
 Amplitude = Annotated[
     float | None,

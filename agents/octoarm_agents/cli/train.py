@@ -20,6 +20,7 @@ from octoarm_agents.cli.options import (
     number,
     output_folder,
     read_body,
+    refused,
 )
 from octoarm_agents.common.progress import progress_bar
 
@@ -74,7 +75,7 @@ def train(
         env["amplitude"] = amplitude
     if arm is not None:
         env["arm"] = read_body(arm)
-    try:
+    with refused():
         training = Training.make(
             algorithm,
             target,
@@ -103,8 +104,6 @@ def train(
                 progress=progress,
                 command=shlex.join(["octoarm", *sys.argv[1:]]),
             )
-    except (OSError, ValueError) as error:
-        raise typer.BadParameter(f"{error}.") from None
     best, final = summary["best"], summary["final"]
     typer.echo(
         f"Trained {final['steps']:,} steps in {summary['seconds']:.0f} s. The last policy earns "

@@ -66,24 +66,21 @@ def changed_body(body: ArmParameters, stiffness: float, damping: float) -> ArmPa
     )
 
 
+@dataclass
 class AgentTest:
     """An agent on a body, always from the same episodes on.
 
-    Args:
+    Attributes:
         policy: the agent.
         body: its arms.
         settings: of the environment.
         plan: how much is measured.
     """
 
-    def __init__(
-        self,
-        policy: PolicyPredictor | Trivial,
-        body: ArmParameters,
-        settings: dict[str, Any],
-        plan: TestPlan,
-    ) -> None:
-        self.policy, self.body, self.settings, self.plan = policy, body, settings, plan
+    policy: PolicyPredictor | Trivial
+    body: ArmParameters
+    settings: dict[str, Any]
+    plan: TestPlan
 
     def run(self, steps: int, push: Push | None = None, noise: Noise | None = None) -> Rollout:
         """Let the agent act for so many control periods."""
@@ -179,25 +176,24 @@ def measure_agent(
     for stiffness, damping in BODIES:
         body = changed_body(parameters, stiffness, damping)
         found = AgentTest(chosen, body, settings, given).measures()
-        kept = {name: found[name] for name in ("return", "orbit_distance", "period")}
+        kept = _selected(found, "return", "orbit_distance", "period")
         bodies.append({"stiffness": stiffness, "damping": damping, **kept})
-    noises: list[dict[str, Any]] = []
-    for size in NOISES:
-        found = test.measures(noise=Noise(size))
-        kept = {name: found[name] for name in ("return", "orbit_distance")}
-        noises.append({"size": size, **kept})
+    noises = [
+        {"size": size, **_selected(test.measures(noise=Noise(size)), "return", "orbit_distance")}
+        for size in NOISES
+    ]
     return {
-        "return": standard["return"],
-        "tracking_error": standard["tracking_error"],
-        "orbit_distance": long["orbit_distance"],
-        "period": long["period"],
-        "held": long["held"],
-        "survival": long["survival"],
+        **_selected(standard, "return", "tracking_error"),
+        **_selected(long, "orbit_distance", "period", "held", "survival"),
         "pushes": [{"size": size, **test.recovery(push=Push(size))} for size in PUSHES],
         "bursts": [{"size": size, **test.recovery(noise=Noise(size, *_BURST))} for size in BURSTS],
         "noises": noises,
         "bodies": bodies,
     }
+
+
+def _selected(measures: dict[str, float | None], *names: str) -> dict[str, float | None]:
+    return {name: measures[name] for name in names}
 
 
 def inference_time(policy: PolicyPredictor, springs: int, *, calls: int = 2000) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from octoarm_agents.common.plotting import (
     SKY,
     VERMILLION,
     new_figure,
-    save_figure,
 )
 from octoarm_env import LIMIT_CYCLES
 
@@ -67,7 +65,7 @@ def draw_all(result: Mapping[str, Any], out: Path) -> None:
         ("robustness", _draw_robustness(rows)),
         ("phase_portraits", _draw_portraits(rows, result["environment"])),
     ):
-        write_atomically(out / f"{name}.png", functools.partial(save_figure, figure))
+        write_atomically(out / f"{name}.png", figure.savefig)
 
 
 def _draw_curves(rows: Mapping[str, Sequence[Row]], teaching_steps: int) -> Figure:
@@ -86,15 +84,9 @@ def _draw_curves(rows: Mapping[str, Sequence[Row]], teaching_steps: int) -> Figu
         _plain(axes)
     panels[0].set_ylabel("return of 500, judging seeds")
     trained = {row["agent"] for own in rows.values() for row in own if row["curves"]}
-    handles = [
-        Line2D([], [], color=colour, label=agent)
-        for agent, (colour, _) in _LOOKS.items()
-        if agent in trained
-    ]
-    handles.append(
-        Line2D([], [], color=BLUE, linestyle=":", label="readouts: their samples, their return")
-    )
-    _legend(figure, handles, 6 if len(rows) > 1 else 2)
+    label = "readouts: their samples, their return"
+    bounds = Line2D([], [], color=BLUE, linestyle=":", label=label)
+    _legend(figure, trained, 6 if len(rows) > 1 else 2, bounds, markers=False)
     return figure
 
 
@@ -161,12 +153,7 @@ def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
     panels[1, 0].set_ylabel("share back on the orbit")
     panels[2, 0].set_ylabel("distance from the orbit, in amplitudes")
     present = {row["agent"] for own in rows.values() for row in own}
-    handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=5, label=agent)
-        for agent, (colour, marker) in _LOOKS.items()
-        if agent in present
-    ]
-    _legend(figure, handles, 5 if len(rows) > 1 else 3)
+    _legend(figure, present, 5 if len(rows) > 1 else 3)
     return figure
 
 
@@ -208,9 +195,21 @@ def _draw_portraits(
     return figure
 
 
-def _legend(figure: Figure, handles: Sequence[Line2D], columns: int) -> None:
+def _legend(
+    figure: Figure, agents: set[str], columns: int, *more: Line2D, markers: bool = True
+) -> None:
+    """The agents' looks, and what else is drawn."""
+    handles = [
+        Line2D([], [], color=colour, marker=marker if markers else "", markersize=5, label=agent)
+        for agent, (colour, marker) in _LOOKS.items()
+        if agent in agents
+    ]
     figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
+        handles=[*handles, *more],
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
     )
 
 
