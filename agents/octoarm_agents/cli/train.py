@@ -70,11 +70,7 @@ def train(
         from octoarm_agents.rl import train as run
 
     folder = output_folder(out or Path("out/train") / f"{algorithm}-{target}-{seed}")
-    env: dict[str, Any] = {}
-    if amplitude is not None:
-        env["amplitude"] = amplitude
-    if arm is not None:
-        env["arm"] = read_body(arm)
+    env = {"amplitude": amplitude, "arm": None if arm is None else read_body(arm)}
     with refused():
         training = Training.make(
             algorithm,
@@ -83,7 +79,7 @@ def train(
             seed=seed,
             num_envs=num_envs,
             evaluations=evaluations,
-            env=env,
+            env={name: value for name, value in env.items() if value is not None},
             hyperparameters=Hyperparameters.load(algorithm, hyperparameters),
         )
         with progress_bar(
