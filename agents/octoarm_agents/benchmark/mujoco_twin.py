@@ -266,11 +266,7 @@ def _numbers(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _build_xml(
-    parameters: ArmParameters,
-    radii: Float,
-    heights: Float,
-) -> str:
+def _build_xml(parameters: ArmParameters, radii: Float, heights: Float) -> str:
     """The MJCF model; every joint coordinate is zero in the undeformed arm."""
     element = ElementTree.SubElement
     root = ElementTree.Element("mujoco", model="octopus arm")

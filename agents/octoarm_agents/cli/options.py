@@ -113,10 +113,7 @@ Seed = Annotated[int, number("Seed of all that is random.", 0, 2**32 - 1)]
 Jobs = Annotated[
     int | None,
     number(
-        "Processes; the results do not depend on it.",
-        1,
-        1024,
-        show_default="number of processors",
+        "Processes; the results do not depend on it.", 1, 1024, show_default="number of processors"
     ),
 ]
 Algorithm = Annotated[
@@ -150,32 +147,16 @@ MouseTarget = Annotated[
     _TargetName | None,
     typer.Option("--target", help="What the mouse is to follow.", show_default="quadratic"),
 ]
+_AMPLITUDE = "R: largest angle of the target in degrees."
 Amplitude = Annotated[
     float | None,
-    number(
-        "R: largest angle of the target in degrees.",
-        0.1,
-        360.0,
-        "degrees",
-        "--amplitude",
-        "-R",
-        show_default="the paper's",
-    ),
+    number(_AMPLITUDE, 0.1, 360.0, "degrees", "--amplitude", "-R", show_default="the paper's"),
 ]
 
 # An episode of an agent.
 EpisodeSteps = Annotated[int, number("Control periods of an episode.", 10, 1_000_000)]
 EpisodeSeed = Annotated[int, number("Episode i begins with seed + i.", 0, 2**31 - 1)]
-PushSize = Annotated[
-    float,
-    number("Push the base by so many degrees for 0.2 s after 1 s.", 0.0, 360.0, "degrees"),
-]
-NoiseSize = Annotated[
-    float,
-    number(
-        "Half width of white noise on the lengths that the agent sees, in metres.",
-        0.0,
-        0.01,
-        "metres",
-    ),
-]
+_PUSH = "Push the base by so many degrees for 0.2 s after 1 s."
+PushSize = Annotated[float, number(_PUSH, 0.0, 360.0, "degrees")]
+_NOISE = "Half width of white noise on the lengths that the agent sees, in metres."
+NoiseSize = Annotated[float, number(_NOISE, 0.0, 0.01, "metres")]

@@ -11,8 +11,8 @@ import numpy as np
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import load_policy
-from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
-from octoarm_agents.policies.measures import orbit_measures, recovery, tracking_measures
+from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting, evaluate_policy
+from octoarm_agents.policies.measures import recovery
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
 from octoarm_env import ArmParameters
 
@@ -72,38 +72,34 @@ class AgentTest:
 
     Attributes:
         policy: the agent.
-        body: its arms.
+        parameters: the body of its arms.
         settings: of the environment.
         plan: how much is measured.
     """
 
     policy: PolicyPredictor | Trivial
-    body: ArmParameters
+    parameters: ArmParameters
     settings: dict[str, Any]
     plan: TestPlan
 
     def run(self, steps: int, push: Push | None = None, noise: Noise | None = None) -> Rollout:
         """Let the agent act for so many control periods."""
-        envs = make_vector_env(self.plan.episodes, self.body, self.settings, steps=steps, threads=1)
+        plan = self.plan
+        envs = make_vector_env(
+            plan.episodes, self.parameters, self.settings, steps=steps, threads=1
+        )
         self.orbit = np.array(envs.get_attr("orbit")[0])
         self.amplitude = float(envs.get_attr("amplitude")[0])
-        self.period = float(envs.get_attr("period")[0])
         try:
-            return roll_out(
-                acting(self.policy, envs),
-                envs,
-                seed=self.plan.seed,
-                steps=steps,
-                push=push,
-                noise=noise,
-            )
+            policy = acting(self.policy, envs)
+            return roll_out(policy, envs, seed=plan.seed, steps=steps, push=push, noise=noise)
         finally:
             envs.close()
 
     def measures(
         self, steps: int | None = None, window: int | None = None, noise: Noise | None = None
-    ) -> dict[str, float | None]:
-        """`tracking_measures` of the whole, `orbit_measures` of the last steps.
+    ) -> dict[str, Any]:
+        """What `evaluate_policy` gives.
 
         Args:
             steps: control periods; None: the plan's.
@@ -111,16 +107,16 @@ class AgentTest:
             noise: disturbs what the agent sees.
         """
         steps = steps or self.plan.steps
-        rollout = self.run(steps, noise=noise)
-        orbit = orbit_measures(
-            rollout,
-            self.orbit,
-            amplitude=self.amplitude,
-            period=self.period,
-            control_period=self.settings["control_period"],
+        return evaluate_policy(
+            self.policy,
+            self,
+            episodes=self.plan.episodes,
+            steps=steps,
+            seed=self.plan.seed,
+            noise=noise,
             window=max(window or steps // 2, 1),
+            threads=1,
         )
-        return {**orbit, **tracking_measures(rollout)}
 
     def recovery(
         self, push: Push | None = None, noise: Noise | None = None
@@ -192,7 +188,7 @@ def measure_agent(
     }
 
 
-def _selected(measures: dict[str, float | None], *names: str) -> dict[str, float | None]:
+def _selected(measures: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: measures[name] for name in names}
 
 

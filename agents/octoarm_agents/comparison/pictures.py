@@ -139,8 +139,7 @@ def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
                 _draw_line(axes, row["agent"], places, [each[figure_of] for each in entries])
         for line in other.get_lines():
             line.set_linestyle("")
-        noisy.set(xscale="log", xlabel="noise on the lengths (µm)")
-        noisy.set_title(_TITLES[target], fontsize=10)
+        noisy.set(xscale="log", xlabel="noise on the lengths (µm)", title=_TITLES[target])
         pushed.set(xscale="log", xlabel="push of the base (degrees)")
         pushed.set_xticks(pushes, [f"{size:g}" for size in pushes])
         pushed.minorticks_off()
@@ -184,8 +183,7 @@ def _draw_portraits(
         for axes, row in zip(line, own, strict=True):
             axes.plot(*np.vstack((orbit, orbit[:1])).T, color=BLACK, linewidth=4, alpha=0.15)
             axes.plot(*np.array(row["portrait"]).T, color=_LOOKS[row["agent"]][0], linewidth=0.9)
-            axes.set_aspect("equal")
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+            axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
             axes.tick_params(labelsize=7)
         line[0].set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
     for axes, row in zip(panels[0], next(iter(rows.values())), strict=True):

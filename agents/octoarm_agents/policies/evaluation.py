@@ -66,6 +66,7 @@ def evaluate_policy(
     push: Push | None = None,
     noise: Noise | None = None,
     body: ArmParameters | None = None,
+    window: int | None = None,
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Let an agent act.
@@ -79,10 +80,11 @@ def evaluate_policy(
         push: disturbs the base.
         noise: disturbs what the agent sees.
         body: another body; None: that of `home`.
+        window: last steps by which the orbit is measured; None: the second half.
         threads: that step the arms; the figures do not depend on it.
 
     Returns:
-        `tracking_measures` of the whole, `orbit_measures` of the second half, and ``returns``.
+        `tracking_measures` of the whole, `orbit_measures` of the window, and ``returns``.
 
     Raises:
         ValueError: numbers out of range, or a body with another number of springs.
@@ -101,7 +103,7 @@ def evaluate_policy(
             amplitude=envs.get_attr("amplitude")[0],
             period=envs.get_attr("period")[0],
             control_period=home.settings["control_period"],
-            window=steps // 2,
+            window=steps // 2 if window is None else window,
         )
     finally:
         envs.close()
