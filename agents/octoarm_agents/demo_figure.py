@@ -21,7 +21,7 @@ from octoarm_agents.common.plotting import (
     new_figure,
     write_letters,
 )
-from octoarm_agents.demo import DemoResult
+from octoarm_agents.demo import BURST_STEPS, DemoResult
 
 _AROUND = 2.5
 """Seconds shown of the outputs before the burst and after it."""
@@ -61,9 +61,7 @@ def _draw_orbit(axes: Axes, result: DemoResult) -> None:
     axes.set(xlim=(-reach, reach), ylim=(-reach, 1.62 * reach))
     ticks = result.settings.teaching.amplitude * np.array((-1.0, -0.5, 0.0, 0.5, 1.0))
     axes.set(xticks=ticks, yticks=ticks)
-    axes.set_aspect("equal")
-    axes.set_xlabel("output 1, θ (degrees)")
-    axes.set_ylabel("output 2, φ (degrees)")
+    axes.set(aspect="equal", xlabel="output 1, θ (degrees)", ylabel="output 2, φ (degrees)")
     axes.legend(fontsize=8, frameon=False, loc="upper center")
 
 
@@ -82,9 +80,7 @@ def _draw_shapes(axes: Axes, result: DemoResult) -> None:
     depth = 100 * float(result.shapes[:, :, 2].max(initial=0.3))
     reach = max(0.5 * depth, 110 * float(np.abs(result.shapes[:, :, 0]).max(initial=0.0)))
     axes.set(xlim=(-reach, reach), ylim=(-1.4 * depth, 0.05 * depth))
-    axes.set_aspect("equal")
-    axes.set_xlabel("x (cm)")
-    axes.set_ylabel("height above the base (cm)")
+    axes.set(aspect="equal", xlabel="x (cm)", ylabel="height above the base (cm)")
     if count:
         handles = [
             Line2D([], [], color=colours[k], marker="o", markersize=4, label=f"{k}/{count}")
@@ -126,15 +122,13 @@ def _draw_weights(axes: Axes, result: DemoResult) -> None:
         axes.set_ylim(low, high + 0.22 * (high - low))
         axes.legend(fontsize=8, frameon=False, ncols=2, loc="upper center", handletextpad=0.1)
         axes.set_xticks([1, *range(5, int(compartment[-1]) + 1, 5)])
-    axes.set_xlabel("compartment")
-    axes.set_ylabel("readout weight (degrees/m)")
+    axes.set(xlabel="compartment", ylabel="readout weight (degrees/m)")
 
 
 def _draw_outputs(axes: Axes, result: DemoResult) -> None:
     """Both outputs over time around the burst; time counts from the burst's begin."""
     time = _time(result)
-    length = (result.settings.burst_end - result.settings.burst_begin) * result.parameters.timestep
-    begin, end = -_AROUND, length + _AROUND
+    begin, end = -_AROUND, BURST_STEPS * result.parameters.timestep + _AROUND
     if 0 < len(time) < result.settings.burst_begin:  # an early end is shown instead of the burst
         begin, end = max(time[-1] - 2 * _AROUND, time[0]), time[-1] + 0.1
     shown = (time >= begin) & (time <= end)
@@ -142,13 +136,10 @@ def _draw_outputs(axes: Axes, result: DemoResult) -> None:
     amplitude = result.settings.teaching.amplitude
     for level in (-amplitude, amplitude):
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle=":")
-    axes.plot(time[shown], result.outputs[shown, 0], color=BLUE, linewidth=1.1, label="output 1, θ")
-    axes.plot(
-        time[shown], result.outputs[shown, 1], color=VERMILLION, linewidth=1.1, label="output 2, φ"
-    )
-    axes.set_xlim(begin, end)
-    axes.set_xlabel("time since the burst began (s)")
-    axes.set_ylabel("output (degrees)")
+    for output, colour, label in ((0, BLUE, "output 1, θ"), (1, VERMILLION, "output 2, φ")):
+        values = result.outputs[shown, output]
+        axes.plot(time[shown], values, color=colour, linewidth=1.1, label=label)
+    axes.set(xlim=(begin, end), xlabel="time since the burst began (s)", ylabel="output (degrees)")
     _legend_above(axes)
 
 
@@ -157,19 +148,12 @@ def _draw_distance(axes: Axes, result: DemoResult) -> None:
     _shade_burst(axes, result)
     time = _time(result)
     turn = round(result.turn)
-    axes.semilogy(
-        time,
-        np.maximum(result.distances, 1e-9),
-        color=GREEN,
-        alpha=0.35,
-        linewidth=0.5,
-        label="each step",
-    )
+    each = np.maximum(result.distances, 1e-9)
+    axes.semilogy(time, each, color=GREEN, alpha=0.35, linewidth=0.5, label="each step")
     if len(time) > turn:
         mean = np.convolve(result.distances, np.full(turn, 1 / turn), "valid")
-        axes.semilogy(
-            time[turn - 1 :], mean, color=GREEN, linewidth=1.6, label="mean of the last turn"
-        )
+        time, label = time[turn - 1 :], "mean of the last turn"
+        axes.semilogy(time, mean, color=GREEN, linewidth=1.6, label=label)
     begin = -result.settings.burst_begin * result.parameters.timestep
     axes.set_xlim(begin, begin + result.settings.steps * result.parameters.timestep)
     axes.set_ylim(bottom=1e-5)
@@ -187,16 +171,9 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _shade_burst(axes: Axes, result: DemoResult) -> None:
-    settings = result.settings
-    length = (settings.burst_end - settings.burst_begin) * result.parameters.timestep
-    axes.axvspan(
-        0,
-        length,
-        color=ORANGE,
-        alpha=0.25,
-        linewidth=0,
-        label=f"white noise of ±{settings.burst:g}° on both outputs",
-    )
+    length = BURST_STEPS * result.parameters.timestep
+    label = f"white noise of ±{result.settings.burst:g}° on both outputs"
+    axes.axvspan(0, length, color=ORANGE, alpha=0.25, linewidth=0, label=label)
 
 
 def _time(result: DemoResult) -> Any:

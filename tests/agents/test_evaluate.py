@@ -84,4 +84,4 @@ def test_files_of_agents(octoarm: Any, tmp_path: Path) -> None:
     assert found[1] == found[0] | {"agent": str(own)}
     done = octoarm("evaluate", "no-such-agent.npz")
     assert done.exit_code == 2
-    assert "cannot read no-such-agent.npz" in done.stderr
+    assert "cannot open no-such-agent.npz" in done.stderr

@@ -443,7 +443,7 @@ class TestCommand:
     def test_bad_policies(self, octoarm: Any, tmp_path: Path) -> None:
         (tmp_path / "bad.npz").write_bytes(b"nothing")
         for name, message in (
-            (tmp_path / "missing.npz", "cannot read"),
+            (tmp_path / "missing.npz", "cannot open"),
             (tmp_path / "bad.npz", "not a complete policy file"),
             ("ppo/square", "'ppo/square' is neither a file nor one of"),
         ):

@@ -30,16 +30,16 @@ rounding (within 2e-15 m over 300 steps of 1 ms).
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from octoarm_env import ArmParameters
+    from octoarm_env.arrays import Float
 
 
 _DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
@@ -68,14 +68,23 @@ class MujocoTwin:
     Args:
         parameters: the arm.
 
+    Attributes:
+        model: the `mujoco.MjModel` behind the twin.
+        data: its `mujoco.MjData`.
+
     Raises:
         ImportError: MuJoCo is not installed.
         ValueError: a parameter leaves no arm to build.
     """
 
     def __init__(self, parameters: ArmParameters) -> None:
-        self._mujoco = _import_mujoco()
-        self._compartments = parameters.compartments
+        try:
+            import mujoco
+        except ImportError as error:
+            raise ImportError(
+                'MujocoTwin needs MuJoCo: pip install "octoarm-agents[benchmark]"'
+            ) from error
+        self._mujoco: Any = mujoco
         self._parameters = parameters
 
         radii = _rest_radii(parameters)
@@ -85,21 +94,11 @@ class MujocoTwin:
         self._rest[:, 3:] = radii[1:, np.newaxis]
 
         xml = _build_xml(parameters, radii, heights)
-        self._model: Any = self._mujoco.MjModel.from_xml_string(xml)
-        self._data: Any = self._mujoco.MjData(self._model)
-        self._set_masses(parameters)
+        self.model: Any = self._mujoco.MjModel.from_xml_string(xml)
+        self.data: Any = self._mujoco.MjData(self.model)
+        self._set_masses()
 
     # ------------------------------------------------------------------ state
-
-    @property
-    def model(self) -> Any:
-        """The `mujoco.MjModel` behind the twin."""
-        return self._model
-
-    @property
-    def data(self) -> Any:
-        """The `mujoco.MjData` behind the twin."""
-        return self._data
 
     def set_state(self, coordinates: ArrayLike, rates: ArrayLike, base: ArrayLike) -> None:
         """Put the arm into a state; the time becomes zero.
@@ -113,39 +112,39 @@ class MujocoTwin:
         Raises:
             ValueError: a shape is wrong or a number is not finite.
         """
-        shape = (self._compartments, 7)
+        shape = (self._parameters.compartments, 7)
         angles = _checked(base, "base", (4,))
         position = _checked(coordinates, "coordinates", shape) - self._rest
         velocity = _checked(rates, "rates", shape)
-        self._data.time = 0.0
-        self._data.qpos[:2] = angles[:2]
-        self._data.qvel[:2] = angles[2:]
-        self._data.qpos[2:] = position.ravel()
-        self._data.qvel[2:] = velocity.ravel()
+        self.data.time = 0.0
+        self.data.qpos[:2] = angles[:2]
+        self.data.qvel[:2] = angles[2:]
+        self.data.qpos[2:] = position.ravel()
+        self.data.qvel[2:] = velocity.ravel()
 
     @property
-    def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def state(self) -> tuple[Float, Float, Float]:
         """Copies of coordinates (N, 7), rates (N, 7) and base (4,), as `set_state` takes them."""
-        shape = (self._compartments, 7)
+        shape = (self._parameters.compartments, 7)
         return (
-            self._data.qpos[2:].reshape(shape) + self._rest,
-            self._data.qvel[2:].reshape(shape).copy(),
-            np.concatenate((self._data.qpos[:2], self._data.qvel[:2])),
+            self.data.qpos[2:].reshape(shape) + self._rest,
+            self.data.qvel[2:].reshape(shape).copy(),
+            np.concatenate((self.data.qpos[:2], self.data.qvel[:2])),
         )
 
     # ---------------------------------------------------------------- outputs
 
     @property
-    def lengths(self) -> NDArray[np.float64]:
+    def lengths(self) -> Float:
         """Lengths of the longitudinal springs, shape (4N,), m; index 4(j-1) + (i-1)."""
-        self._mujoco.mj_kinematics(self._model, self._data)
+        self._mujoco.mj_kinematics(self.model, self.data)
         return self._measure()
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Float:
         """World positions of the plane centres c_0 .. c_N, shape (N+1, 3), m."""
-        self._mujoco.mj_kinematics(self._model, self._data)
-        positions: NDArray[np.float64] = self._data.xpos[self._planes].copy()
+        self._mujoco.mj_kinematics(self.model, self.data)
+        positions: Float = self.data.xpos[self._planes].copy()
         return positions
 
     def energy(self) -> tuple[float, float]:
@@ -154,19 +153,19 @@ class MujocoTwin:
         Kinetic: the arm's masses, in the inertial frame; the base's armature does not count.
         Elastic: the longitudinal and transverse springs.
         """
-        self._mujoco.mj_kinematics(self._model, self._data)
-        self._mujoco.mj_comPos(self._model, self._data)
-        self._mujoco.mj_comVel(self._model, self._data)
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_comPos(self.model, self.data)
+        self._mujoco.mj_comVel(self.model, self.data)
         # cvel: angular and linear velocity, the latter at the mass centre of the whole chain.
-        angular, linear = np.split(self._data.cvel, 2, axis=1)
-        centre = self._data.subtree_com[self._model.body_rootid]
-        velocity = linear + np.cross(angular, self._data.xipos - centre)
-        axes = self._data.ximat.reshape(-1, 3, 3)
+        angular, linear = np.split(self.data.cvel, 2, axis=1)
+        centre = self.data.subtree_com[self.model.body_rootid]
+        velocity = linear + np.cross(angular, self.data.xipos - centre)
+        axes = self.data.ximat.reshape(-1, 3, 3)
         spin = np.einsum("bij,bi->bj", axes, angular)
-        kinetic = 0.5 * np.sum(self._model.body_mass[:, np.newaxis] * velocity**2)
-        kinetic += 0.5 * np.sum(self._model.body_inertia * spin**2)
+        kinetic = 0.5 * np.sum(self.model.body_mass[:, np.newaxis] * velocity**2)
+        kinetic += 0.5 * np.sum(self.model.body_inertia * spin**2)
         strain = self._measure() - self._parameters.rest_length
-        radial = self._data.qpos[2:].reshape(-1, 7)[:, 3:]
+        radial = self.data.qpos[2:].reshape(-1, 7)[:, 3:]
         elastic = 0.5 * self._parameters.longitudinal_stiffness * np.sum(strain**2)
         elastic += 0.5 * self._parameters.transverse_stiffness * np.sum(radial**2)
         return float(kinetic), float(elastic)
@@ -181,10 +180,10 @@ class MujocoTwin:
         """
         if n < 1:
             raise ValueError(f"n must be at least 1, got {n}")
-        self._mujoco.mj_step(self._model, self._data, n)
+        self._mujoco.mj_step(self.model, self.data, n)
         self._check_finite()
 
-    def run(self, steps: int) -> NDArray[np.float64]:
+    def run(self, steps: int) -> Float:
         """Advance by `steps` time steps and record the spring lengths after each.
 
         Returns:
@@ -193,57 +192,49 @@ class MujocoTwin:
         Raises:
             FloatingPointError: the state is no longer finite.
         """
-        history = np.empty((steps, 4 * self._compartments))
+        history = np.empty((steps, 4 * self._parameters.compartments))
         for row in history:
-            self._mujoco.mj_step(self._model, self._data)
-            self._mujoco.mj_kinematics(self._model, self._data)
+            self._mujoco.mj_step(self.model, self.data)
+            self._mujoco.mj_kinematics(self.model, self.data)
             row[:] = self._measure()
         self._check_finite()
         return history
 
     # ---------------------------------------------------------------- private
 
-    def _set_masses(self, parameters: ArmParameters) -> None:
+    def _set_masses(self) -> None:
         """Replace the stand-ins: point masses at the joints, the planes as given, else nothing."""
-        count = self._compartments
-        bodies = {self._model.body(index).name: index for index in range(self._model.nbody)}
+        parameters = self._parameters
+        count = parameters.compartments
+        bodies = {self.model.body(index).name: index for index in range(self.model.nbody)}
         self._planes = [bodies[f"plane_{j}"] for j in range(count + 1)]
         joints = [bodies[f"joint_{j}_{i}"] for j in range(1, count + 1) for i in range(1, 5)]
-        mass, inertia = self._model.body_mass, self._model.body_inertia
+        mass, inertia = self.model.body_mass, self.model.body_inertia
         mass[:] = 0.0
         inertia[:] = 0.0
         mass[joints] = parameters.longitudinal_mass + parameters.transverse_mass
         mass[self._planes[1:]] = parameters.plane_mass
         inertia[self._planes[1:]] = np.multiply(parameters.plane_inertia, (1.0, 1.0, 2.0))
-        self._mujoco.mj_setConst(self._model, self._data)
-        self._mujoco.mj_resetData(self._model, self._data)
+        self._mujoco.mj_setConst(self.model, self.data)
+        self._mujoco.mj_resetData(self.model, self.data)
 
-    def _measure(self) -> NDArray[np.float64]:
+    def _measure(self) -> Float:
         """Spring lengths, (4N,) m, from site positions that `mj_kinematics` has just renewed.
 
         The sites come in the order of the joints, four a plane from the base on. `ten_length` holds
         the same numbers, but only after `mj_tendon`, which computes the Jacobians too.
         """
-        points = self._data.site_xpos
+        points = self.data.site_xpos
         springs = points[4:] - points[:-4]
-        lengths: NDArray[np.float64] = np.sqrt(np.einsum("sk,sk->s", springs, springs))
+        lengths: Float = np.sqrt(np.einsum("sk,sk->s", springs, springs))
         return lengths
 
     def _check_finite(self) -> None:
-        if not (np.isfinite(self._data.qpos).all() and np.isfinite(self._data.qvel).all()):
-            raise FloatingPointError(f"the twin diverged before t = {self._data.time:.4f} s")
+        if not (np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()):
+            raise FloatingPointError(f"the twin diverged before t = {self.data.time:.4f} s")
 
 
-def _import_mujoco() -> Any:
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError as error:
-        raise ImportError(
-            'MujocoTwin needs MuJoCo: pip install "octoarm-agents[benchmark]"'
-        ) from error
-
-
-def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Float:
     array = np.asarray(values, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
@@ -252,13 +243,13 @@ def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np
     return array
 
 
-def _rest_radii(parameters: ArmParameters) -> NDArray[np.float64]:
+def _rest_radii(parameters: ArmParameters) -> Float:
     """Rest radii of planes 0..N, shape (N+1,), m: a linear taper."""
     fraction = np.arange(parameters.compartments + 1) / parameters.compartments
     return parameters.base_radius + (parameters.tip_radius - parameters.base_radius) * fraction
 
 
-def _rest_heights(parameters: ArmParameters, radii: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rest_heights(parameters: ArmParameters, radii: Float) -> Float:
     """Rest heights of the struts, shape (N,), m: those of unstretched longitudinal springs."""
     squares = parameters.rest_length**2 - np.diff(radii) ** 2
     if not (squares > 0).all():
@@ -266,7 +257,7 @@ def _rest_heights(parameters: ArmParameters, radii: NDArray[np.float64]) -> NDAr
             f"rest_length {parameters.rest_length} m is too short for the taper from "
             f"{parameters.base_radius} m to {parameters.tip_radius} m"
         )
-    heights: NDArray[np.float64] = np.sqrt(squares)
+    heights: Float = np.sqrt(squares)
     return heights
 
 
@@ -275,39 +266,21 @@ def _numbers(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _build_xml(
-    parameters: ArmParameters,
-    radii: NDArray[np.float64],
-    heights: NDArray[np.float64],
-) -> str:
+def _build_xml(parameters: ArmParameters, radii: Float, heights: Float) -> str:
     """The MJCF model; every joint coordinate is zero in the undeformed arm."""
     element = ElementTree.SubElement
     root = ElementTree.Element("mujoco", model="octopus arm")
     element(root, "compiler", angle="radian")
-    option = element(
-        root,
-        "option",
-        timestep=_numbers(parameters.timestep),
-        integrator="RK4",
-        gravity=_numbers(0, 0, 0),
-    )
-    # A diverged arm must be seen, not silently reset; the rest only saves time.
-    element(
-        option,
-        "flag",
-        autoreset="disable",
-        constraint="disable",
-        contact="disable",
-        gravity="disable",
-        actuation="disable",
-        sensor="disable",
-        island="disable",
-    )
+    timestep = _numbers(parameters.timestep)
+    option = element(root, "option", timestep=timestep, integrator="RK4")
+    # A diverged arm must be seen, not silently reset; the others but gravity only save time.
+    flags = ("autoreset", "constraint", "contact", "gravity", "actuation", "sensor", "island")
+    element(option, "flag", dict.fromkeys(flags, "disable"))
 
     plane = _add_body(element(root, "worldbody"), "plane_0", (0, 0, 0))
     for axis in ((1, 0, 0), (0, 1, 0)):
-        joint = element(plane, "joint", type="hinge", axis=_numbers(*axis))
-        joint.set("armature", _numbers(_BASE_ARMATURE))
+        armature = _numbers(_BASE_ARMATURE)
+        element(plane, "joint", type="hinge", axis=_numbers(*axis), armature=armature)
     for i, axis in enumerate(_DIRECTIONS, 1):
         point = np.multiply(axis, radii[0])
         element(plane, "site", name=f"point_0_{i}", pos=_numbers(*point))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
+    from octoarm_agents.analysis.measures import MeasureSettings
     from octoarm_agents.analysis.survey import ArmSurvey, SurveySettings
     from octoarm_env import ArmParameters
 
@@ -40,7 +41,8 @@ app = typer.Typer(
 Out = Annotated[Path, result_folder("analysis.png and analysis.json")]
 MaxDelay = Annotated[int, number("Largest delay of the memory capacity, in rows.", 1, 100_000)]
 Delays = Annotated[
-    str, typer.Option(help="Oldest input of the processing capacity of degree 1, 2, …, in rows.")
+    str,
+    typer.Option(metavar="NUMBERS", help="Oldest input of a capacity of degree 1, 2, …, in rows."),
 ]
 Significance = Annotated[
     float, number("Probability that a capacity of nothing counts.", 1e-12, 0.5)
@@ -50,15 +52,14 @@ Surrogates = Annotated[
 ]
 Training = Annotated[float, number("Share of the rows that the memory readout learns.", 0.1, 0.9)]
 Tolerance = Annotated[
-    float, number("Share of the largest singular value that counts in the ranks.", 1e-12, 0.5)
+    float, number("Least share of the largest singular value in ranks.", 1e-12, 0.5)
 ]
 
 
 def _file(content: str, *names: str, **more: Any) -> Any:
     """Give the option of a recording's file."""
-    kinds = f"a row a sample: .npy, .npz with the key {content!r}, or a text file"
-    text = f"{content.capitalize()}, {kinds} (.csv, .tsv, .txt)."
-    return typer.Option(*names, help=text, exists=True, dir_okay=False, **more)
+    text = f"{content.capitalize()}, a row a sample: .npy, .npz with the key {content!r}, or text."
+    return typer.Option(*names, help=text, exists=True, dir_okay=False, metavar="FILE", **more)
 
 
 def _columns(content: str, default: str) -> Any:
@@ -68,6 +69,7 @@ def _columns(content: str, default: str) -> Any:
 
 @app.command("states")
 def states(
+    context: typer.Context,
     states_file: Annotated[Path, _file("states", "--states")],
     input_file: Annotated[
         Path | None, _file("input", "--input", show_default="in the states' file")
@@ -99,7 +101,10 @@ def states(
     surrogates: Surrogates = 0,
     polynomials: Annotated[
         Literal["auto", "legendre", "hermite", "empirical"],
-        typer.Option(help="For a uniform input, a normal one, any one; auto tests it."),
+        typer.Option(
+            metavar="FAMILY",
+            help="auto, legendre for a uniform input, hermite for a normal one, or empirical.",
+        ),
     ] = "auto",
     training: Training = 0.7,
     tolerance: Tolerance = 1e-3,
@@ -114,43 +119,30 @@ def states(
     (docs/your-own-log.md).
     """
     from octoarm_agents.analysis.figure import draw_analysis
-    from octoarm_agents.analysis.measures import MeasureSettings, measure
+    from octoarm_agents.analysis.measures import measure
     from octoarm_agents.analysis.recording_file import read_recording
     from octoarm_agents.analysis.tables import measures_table
 
-    settings = MeasureSettings(
-        max_delay=max_delay,
-        delays=_numbers(delays, int, "--delays"),
-        washout=washout,
-        noise=noise,
-        significance=significance,
-        surrogates=surrogates,
-        family=None if polynomials == "auto" else polynomials,
-        training_fraction=training,
-        tolerance=tolerance,
-        seed=seed,
-    )
-    try:
-        with refused():
-            recording = read_recording(
-                states_file,
-                input_file,
-                states_columns=states_columns,
-                input_columns=input_columns,
-                time_column=time_column,
-                skip_lines=skip_lines,
-                fill_gaps=fill_gaps,
-                hold=hold,
-            )
-            with stage_bar("measuring") as advance:
-                result = measure(recording, settings, advance)
-    except OSError as error:
-        raise typer.BadParameter(f"cannot read {error.filename}: {error.strerror}.") from None
+    settings = _measure_settings(context)
+    with refused():
+        recording = read_recording(
+            states_file,
+            input_file,
+            states_columns=states_columns,
+            input_columns=input_columns,
+            time_column=time_column,
+            skip_lines=skip_lines,
+            fill_gaps=fill_gaps,
+            hold=hold,
+        )
+        with stage_bar("measuring") as advance:
+            result = measure(recording, settings, advance)
     _finish(out, result.to_dict(), draw_analysis(result), measures_table(result), result.warnings)
 
 
 @app.command("arm")
 def arm(
+    context: typer.Context,
     out: Out = Path("out/analysis"),
     body: Body = None,
     actuator: Actuator = "direct",
@@ -174,11 +166,16 @@ def arm(
     tolerance: Tolerance = 1e-3,
     sweep: Annotated[
         Literal["stiffness", "damping", "drag", "range"] | None,
-        typer.Option(help="Measure again and again with this changed.", show_default="none"),
+        typer.Option(
+            metavar="NAME",
+            help="Measure again and again with other stiffness, damping, drag or range.",
+            show_default="none",
+        ),
     ] = None,
     values: Annotated[
         str | None,
         typer.Option(
+            metavar="NUMBERS",
             help="Values of the sweep: factors, for the range degrees.",
             show_default="1/4 to 4, range R/8 to 2 R",
         ),
@@ -192,8 +189,7 @@ def arm(
     moves on a minimum-jerk path; the spring lengths at its end are the states.
     Measured are memory capacity, information processing capacity, ranks, how the
     initial state is forgotten, and the largest conditional Lyapunov exponent
-    (docs/analysis.md explains them). With --sweep all is repeated over stiffness,
-    damping, drag or range (section 4 of the paper), in --jobs processes.
+    (docs/analysis.md explains them). --sweep repeats all (section 4 of the paper).
 
     Exit status: 0; 1 if the arm left its domain, in a sweep at every value; 2
     for bad options.
@@ -202,7 +198,6 @@ def arm(
 
     from octoarm_agents.analysis.drive import Drive
     from octoarm_agents.analysis.figure import draw_analysis
-    from octoarm_agents.analysis.measures import MeasureSettings
     from octoarm_agents.analysis.survey import SurveySettings
     from octoarm_agents.analysis.sweep import QUANTITIES, default_values, run_sweep
     from octoarm_agents.analysis.sweep_figure import draw_sweep
@@ -211,17 +206,7 @@ def arm(
     if sweep is None and values is not None:
         raise typer.BadParameter("only --sweep takes values.", param_hint="'--values'")
     parameters = read_body(body)
-    measures = MeasureSettings(
-        max_delay=max_delay,
-        delays=_numbers(delays, int, "--delays"),
-        washout=washout,
-        noise=noise,
-        significance=significance,
-        surrogates=surrogates,
-        training_fraction=training,
-        tolerance=tolerance,
-        seed=seed,
-    )
+    measures = _measure_settings(context)
     settings = SurveySettings(Drive(amplitude, hold, axes, actuator), measures, samples)
     with refused():
         if sweep is None:
@@ -253,6 +238,21 @@ def arm(
             typer.echo(f"{sweep} {point.value:g}: {point.failure}", err=True)
     if all(point.summary is None for point in points):
         raise typer.Exit(1)
+
+
+def _measure_settings(context: typer.Context) -> MeasureSettings:
+    """Read the options that say how to measure, by the names that both commands give them."""
+    from octoarm_agents.analysis.measures import MeasureSettings
+
+    given = context.params
+    alike = ("max_delay", "washout", "noise", "significance", "surrogates", "tolerance", "seed")
+    family = given.get("polynomials", "auto")
+    return MeasureSettings(
+        **{name: given[name] for name in alike},
+        delays=_numbers(given["delays"], int, "--delays"),
+        training_fraction=given["training"],
+        family=None if family == "auto" else family,
+    )
 
 
 def _survey(parameters: ArmParameters, settings: SurveySettings) -> ArmSurvey:

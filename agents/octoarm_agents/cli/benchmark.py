@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from octoarm_agents.cli.options import need_extra, number, result_file
+from octoarm_agents.cli.printing import new_table
 from octoarm_agents.common.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def _show(console: Console, content: dict[str, Any]) -> None:
     for first in dict.fromkeys(next(iter(row)) for row in contenders.values()):
         rows = {name: row for name, row in contenders.items() if next(iter(row)) == first}
         console.print(_table(rows, content["rounds"]))
-    table = _new_table("Compared round by round", "min", "median", "max")
+    table = new_table("Compared round by round", "", "min", "median", "max")
     for ratio in content["ratios"].values():
         digits = 2 if abs(ratio["median"]) < 10 else 1
         figures = (f"{ratio[key]:,.{digits}f} {ratio['unit']}" for key in ("min", "median", "max"))
@@ -130,21 +131,12 @@ def _table(rows: dict[str, dict[str, Any]], rounds: int) -> Table:
                 cells[name] |= {end: value[end] for end in ("min", "median", "max")}
     headings = list(dict.fromkeys(heading for row in cells.values() for heading in row))
     title = "Medians" if several else next(iter(next(iter(rows.values()))))
-    table = _new_table(
+    table = new_table(
         f"{title.replace('_', ' ').capitalize()}, {rounds} rounds",
+        "",
         *(heading.replace("_", " ") for heading in headings),
     )
     for name, row in cells.items():
         numbers = (row.get(heading) for heading in headings)
         table.add_row(name, *("" if each is None else f"{each:,.2f}" for each in numbers))
-    return table
-
-
-def _new_table(title: str, *headings: str) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    table.add_column("")
-    for heading in headings:
-        table.add_column(heading, justify="right")
     return table

@@ -19,6 +19,7 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
+from octoarm_agents.cli.printing import new_table
 from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
@@ -104,16 +105,17 @@ def body(
 
 
 def _body_table(result: dict[str, Any]) -> Table:
-    from rich.table import Table
-
-    table = Table(title="Error divided by that of Table 2, and what the best body is")
-    table.add_column("")
-    columns = []
-    for search in result["spaces"]:
-        table.add_column(f"lift {search['lift_scale']:+g}", justify="right")
-        failures = f"{search['failures']} of {search['evaluations']}"
-        columns.append(_body_column(search["best"], failures))
-    table.add_column("best, measured again", justify="right")
+    searches = result["spaces"]
+    table = new_table(
+        "Error divided by that of Table 2, and what the best body is",
+        "",
+        *(f"lift {search['lift_scale']:+g}" for search in searches),
+        "best, measured again",
+    )
+    columns = [
+        _body_column(search["best"], f"{search['failures']} of {search['evaluations']}")
+        for search in searches
+    ]
     again = result["measured_again"]
     measured = {"ratios": again["mean_ratios"], "score": again["score"]}
     columns.append(_body_column(result["best"] | measured))
@@ -198,16 +200,9 @@ def cycle(
 
 
 def _cycle_table(result: dict[str, Any]) -> Table:
-    from rich.table import Table
-
     settings, teaching, loop = (result[name] for name in ("settings", "teaching", "closed_loop"))
-    table = Table(
-        title=f"{teaching['target']} cycle, {teaching['actuator']} base,"
-        f" R = {teaching['amplitude']:g}°",
-        show_header=False,
-    )
-    table.add_column("")
-    table.add_column("", justify="right")
+    base = f"{teaching['actuator']} base, R = {teaching['amplitude']:g}°"
+    table = new_table(f"{teaching['target']} cycle, {base}")
     table.add_row("ν", f"{teaching['noise']:.3g} m")
     for scale, size in zip(settings["time_scales_steps"], teaching["disturbances"], strict=True):
         table.add_row(f"κ at {scale} steps" if scale else "κ, white", f"{size:.3g}°")

@@ -18,6 +18,7 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
+from octoarm_agents.cli.printing import new_table
 from octoarm_agents.common.progress import stage_bar
 
 if TYPE_CHECKING:
@@ -98,16 +99,11 @@ def demo(
 
 
 def _table(result: DemoResult) -> Table:
-    from rich.table import Table
-
     teaching, scores = result.settings.teaching, result.scores()
-    table = Table(
-        title=f"{teaching.target} cycle, {teaching.actuator} base, R = {teaching.amplitude:g}°,"
-        f" ν = {teaching.noise:g} m, ε = {result.settings.burst:g}°",
-        show_header=False,
+    table = new_table(
+        f"{teaching.target} cycle, {teaching.actuator} base, R = {teaching.amplitude:g}°,"
+        f" ν = {teaching.noise:g} m, ε = {result.settings.burst:g}°"
     )
-    table.add_column("")
-    table.add_column("", justify="right")
     for name, window in (
         ("before the burst", scores.before),
         ("during the burst", scores.burst),

@@ -15,9 +15,11 @@ from octoarm_agents.cli.options import (
     OtherBody,
     PushSize,
     number,
+    refused,
     result_file,
 )
 from octoarm_agents.cli.policy_names import POLICY_HELP, find_policy
+from octoarm_agents.cli.printing import new_table
 
 
 def evaluate(
@@ -39,7 +41,6 @@ def evaluate(
     knows the target earn. The same call gives the same figures.
     """
     from rich.console import Console
-    from rich.table import Table
 
     from octoarm_agents.common.files import write_json
     from octoarm_agents.policies.evaluation import TRIVIAL, evaluate_policy
@@ -52,13 +53,12 @@ def evaluate(
             beside = replace(home, name=kind, policy=kind)
             if not any(replace(each, name=kind) == beside for each in named):
                 named.append(beside)
-    table = Table()
-    table.add_column("agent", overflow="fold")
-    for heading in ("target", "return", "error (°)", "orbit distance", "period", "survival"):
-        table.add_column(heading, justify="right")
+    table = new_table(
+        None, "agent", "target", "return", "error (°)", "orbit distance", "period", "survival"
+    )
     rows = []
     for each in named:
-        try:
+        with refused(about=f"{each.name}: "):
             figures = evaluate_policy(
                 each.policy,
                 each,
@@ -68,8 +68,6 @@ def evaluate(
                 push=Push.after_a_second(push, each.settings["control_period"]) if push else None,
                 noise=Noise(noise) if noise else None,
             )
-        except ValueError as error:
-            raise typer.BadParameter(f"{each.name}: {error}.") from None
         target = each.settings["target"]
         rows.append({"agent": each.name, "target": target, **figures})
         distance, period = (figures[key] for key in ("orbit_distance", "period"))

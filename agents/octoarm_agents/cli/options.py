@@ -74,23 +74,24 @@ def read_body(path: Path | None) -> ArmParameters:
     """The body of that name or in that JSON file, the default body for None."""
     from octoarm_env import ArmParameters
 
-    try:
+    with refused("--arm"):
         return ArmParameters.of(None if path is None else str(path))
-    except OSError as error:
-        reason = f"cannot read {path}: {error.strerror}."
-    except ValueError as error:
-        reason = str(error)
-    raise typer.BadParameter(reason, param_hint="'--arm'")
 
 
 @contextmanager
-def refused(option: str | None = None) -> Iterator[None]:
-    """Turn a ValueError within into the usual answer to a bad option."""
+def refused(option: str | None = None, about: str = "") -> Iterator[None]:
+    """Turn a ValueError within, or what the system refuses, into the answer to a bad option.
+
+    `about` stands before the message.
+    """
+    hint = None if option is None else f"'{option}'"
     try:
         yield
     except ValueError as error:
-        hint = None if option is None else f"'{option}'"
-        raise typer.BadParameter(f"{error}.", param_hint=hint) from None
+        raise typer.BadParameter(f"{about}{error}.", param_hint=hint) from None
+    except OSError as error:
+        file = f"cannot open {error.filename}: " if error.filename else ""
+        raise typer.BadParameter(f"{file}{error.strerror or error}.", param_hint=hint) from None
 
 
 @contextmanager
@@ -112,10 +113,7 @@ Seed = Annotated[int, number("Seed of all that is random.", 0, 2**32 - 1)]
 Jobs = Annotated[
     int | None,
     number(
-        "Processes; the results do not depend on it.",
-        1,
-        1024,
-        show_default="number of processors",
+        "Processes; the results do not depend on it.", 1, 1024, show_default="number of processors"
     ),
 ]
 Algorithm = Annotated[
@@ -129,6 +127,7 @@ Body = Annotated[Path | None, typer.Option("--arm", help=_BODY, show_default="th
 OtherBody = Annotated[
     Path | None, typer.Option("--arm", help=_BODY, show_default="the agent's own body")
 ]
+_TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
 Actuator = Annotated[
     Literal["direct", "servo"],
     typer.Option(
@@ -136,41 +135,28 @@ Actuator = Annotated[
     ),
 ]
 Target = Annotated[
-    Literal["quadratic", "van_der_pol", "lissajous"],
+    _TargetName,
     typer.Option(
         metavar="NAME", help="Limit cycle: quadratic, van_der_pol or lissajous (Eqs. 28, 27, 29)."
     ),
 ]
 TargetArgument = Annotated[
-    Literal["quadratic", "van_der_pol", "lissajous"],
-    typer.Argument(help="The limit cycle: quadratic, van_der_pol or lissajous."),
+    _TargetName, typer.Argument(help="The limit cycle: quadratic, van_der_pol or lissajous.")
 ]
+MouseTarget = Annotated[
+    _TargetName | None,
+    typer.Option("--target", help="What the mouse is to follow.", show_default="quadratic"),
+]
+_AMPLITUDE = "R: largest angle of the target in degrees."
 Amplitude = Annotated[
     float | None,
-    number(
-        "R: largest angle of the target in degrees.",
-        0.1,
-        360.0,
-        "degrees",
-        "--amplitude",
-        "-R",
-        show_default="the paper's",
-    ),
+    number(_AMPLITUDE, 0.1, 360.0, "degrees", "--amplitude", "-R", show_default="the paper's"),
 ]
 
 # An episode of an agent.
 EpisodeSteps = Annotated[int, number("Control periods of an episode.", 10, 1_000_000)]
 EpisodeSeed = Annotated[int, number("Episode i begins with seed + i.", 0, 2**31 - 1)]
-PushSize = Annotated[
-    float,
-    number("Push the base by so many degrees for 0.2 s after 1 s.", 0.0, 360.0, "degrees"),
-]
-NoiseSize = Annotated[
-    float,
-    number(
-        "Half width of white noise on the lengths that the agent sees, in metres.",
-        0.0,
-        0.01,
-        "metres",
-    ),
-]
+_PUSH = "Push the base by so many degrees for 0.2 s after 1 s."
+PushSize = Annotated[float, number(_PUSH, 0.0, 360.0, "degrees")]
+_NOISE = "Half width of white noise on the lengths that the agent sees, in metres."
+NoiseSize = Annotated[float, number(_NOISE, 0.0, 0.01, "metres")]

@@ -72,11 +72,8 @@ def find_policy(name: str, arm: Path | None) -> NamedPolicy:
             known = ", ".join((*trained, *trivial))
             raise typer.BadParameter(f"{name!r} is neither a file nor one of {known}.")
         file = trained.get(name, file)
-    try:
-        with refused():
-            policy = load_policy(file)
-    except OSError as error:
-        raise typer.BadParameter(f"cannot read {name}: {error.strerror}.") from None
+    with refused():
+        policy = load_policy(file)
     body, own = policy.parameters if arm is None else read_body(arm), policy.parameters
     if body.compartments != own.compartments:
         raise typer.BadParameter(

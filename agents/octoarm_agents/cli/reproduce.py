@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -17,12 +17,8 @@ from octoarm_agents.cli.options import (
     refused,
     result_folder,
 )
+from octoarm_agents.cli.printing import new_table
 from octoarm_agents.experiments import EXPERIMENTS
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from octoarm_agents.experiments.tables import ResultTable
 
 ALL = "all"
 OWN = "the experiment's own"
@@ -81,21 +77,13 @@ def reproduce(
         except RefusedError as error:
             raise typer.BadParameter(f"{each}: {error}.") from None
         for table in experiment.tables(result):
-            console.print(_table(table))
+            printed = new_table(table.title, *table.columns)
+            for row in table.rows:
+                printed.add_row(*row)
+            console.print(printed)
             for note in table.notes:
                 console.print(note, soft_wrap=True, markup=False)
         console.print(f"Wrote {out / each}.png and {out / each}.json.", soft_wrap=True)
-
-
-def _table(content: ResultTable) -> Table:
-    from rich.table import Table
-
-    table = Table(title=content.title)
-    for index, column in enumerate(content.columns):
-        table.add_column(column, justify="right" if index else "left")
-    for row in content.rows:
-        table.add_row(*row)
-    return table
 
 
 # Appended here, not written out, so that every experiment appears in ``--help`` by itself.

@@ -20,6 +20,7 @@ from octoarm_agents.cli.options import (
     number,
     output_folder,
     read_body,
+    refused,
 )
 from octoarm_agents.common.progress import progress_bar
 
@@ -69,12 +70,8 @@ def train(
         from octoarm_agents.rl import train as run
 
     folder = output_folder(out or Path("out/train") / f"{algorithm}-{target}-{seed}")
-    env: dict[str, Any] = {}
-    if amplitude is not None:
-        env["amplitude"] = amplitude
-    if arm is not None:
-        env["arm"] = read_body(arm)
-    try:
+    env = {"amplitude": amplitude, "arm": None if arm is None else read_body(arm)}
+    with refused():
         training = Training.make(
             algorithm,
             target,
@@ -82,7 +79,7 @@ def train(
             seed=seed,
             num_envs=num_envs,
             evaluations=evaluations,
-            env=env,
+            env={name: value for name, value in env.items() if value is not None},
             hyperparameters=Hyperparameters.load(algorithm, hyperparameters),
         )
         with progress_bar(
@@ -103,8 +100,6 @@ def train(
                 progress=progress,
                 command=shlex.join(["octoarm", *sys.argv[1:]]),
             )
-    except (OSError, ValueError) as error:
-        raise typer.BadParameter(f"{error}.") from None
     best, final = summary["best"], summary["final"]
     typer.echo(
         f"Trained {final['steps']:,} steps in {summary['seconds']:.0f} s. The last policy earns "

@@ -14,6 +14,7 @@ import typer
 
 from octoarm_agents.cli.options import (
     EpisodeSeed,
+    MouseTarget,
     NoiseSize,
     OtherBody,
     PushSize,
@@ -62,10 +63,7 @@ def watch(
     push: PushSize = 0.0,
     noise: NoiseSize = 0.0,
     arm: OtherBody = None,
-    target: Annotated[
-        Literal["quadratic", "van_der_pol", "lissajous"] | None,
-        typer.Option(help="What the mouse is to follow.", show_default="quadratic"),
-    ] = None,
+    target: MouseTarget = None,
     view: Annotated[
         Literal["auto", "window", "terminal", "rerun", "browser"],
         typer.Option(help="Where; auto: in a window where there is a display, or the terminal."),

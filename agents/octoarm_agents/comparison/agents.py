@@ -180,7 +180,7 @@ def _teaching(run: TrainingRun) -> dict[str, Any]:
 
 def _teach_readout(run: TrainingRun) -> dict[str, Any]:
     begun = time.perf_counter()
-    noise = 0.0 if run.agent == "readout_pinv" else RIDGE_NOISE
+    noise = _teaching(run).get("noise", 0.0)
     policy = teach_readout(run.target, ACTION_NOISE, noise, run.seed)
     seconds = time.perf_counter() - begun
     judged = evaluate_policy(policy, policy, episodes=JUDGED_EPISODES, seed=JUDGING_SEED, threads=1)

@@ -92,14 +92,8 @@ def search_linear(search: LinearSearch, out: Path) -> dict[str, Any]:
         if due or last:
             seconds += time.perf_counter() - begun
             network = _network(strategy.mean, mean, scale)
-            policy = Policy(
-                network,
-                "linear_search",
-                parameters,
-                settings,
-                {**asdict(search), "trained_steps": done},
-                search.seed,
-            )
+            training = asdict(search) | {"trained_steps": done}
+            policy = Policy(network, "linear_search", parameters, settings, training, search.seed)
             returns = roll_out(policy, judges, seed=JUDGING_SEED).returns
             curve.append({"steps": done, "seconds": seconds, "return": float(returns.mean())})
             if best is None or curve[-1]["return"] > best["return"]:
@@ -172,8 +166,6 @@ def _returns(
 
 def _network(solution: Float, mean: Float, scale: Float) -> Network:
     weights = solution.reshape(-1, 2)
-    layer = (
-        np.ascontiguousarray(weights[:-1].T, dtype=np.float32),
-        weights[-1].astype(np.float32),
-    )
+    springs = np.ascontiguousarray(weights[:-1].T, dtype=np.float32)
+    layer = (springs, weights[-1].astype(np.float32))
     return Network(mean, scale, 1e6, (layer,), "tanh", "clip")

@@ -11,13 +11,8 @@ import numpy as np
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import load_policy
-from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting
-from octoarm_agents.policies.measures import (
-    TargetOrbit,
-    orbit_measures,
-    recovery,
-    tracking_measures,
-)
+from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting, evaluate_policy
+from octoarm_agents.policies.measures import TargetOrbit, recovery
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
 from octoarm_env import ArmParameters
 
@@ -71,45 +66,39 @@ def changed_body(body: ArmParameters, stiffness: float, damping: float) -> ArmPa
     )
 
 
+@dataclass
 class AgentTest:
     """An agent on a body, always from the same episodes on.
 
-    Args:
+    Attributes:
         policy: the agent.
-        body: its arms.
+        parameters: the body of its arms.
         settings: of the environment.
         plan: how much is measured.
     """
 
-    def __init__(
-        self,
-        policy: PolicyPredictor | Trivial,
-        body: ArmParameters,
-        settings: dict[str, Any],
-        plan: TestPlan,
-    ) -> None:
-        self.policy, self.body, self.settings, self.plan = policy, body, settings, plan
+    policy: PolicyPredictor | Trivial
+    parameters: ArmParameters
+    settings: dict[str, Any]
+    plan: TestPlan
 
     def run(self, steps: int, push: Push | None = None, noise: Noise | None = None) -> Rollout:
         """Let the agent act for so many control periods."""
-        envs = make_vector_env(self.plan.episodes, self.body, self.settings, steps=steps, threads=1)
+        plan = self.plan
+        envs = make_vector_env(
+            plan.episodes, self.parameters, self.settings, steps=steps, threads=1
+        )
         self.target = TargetOrbit.of(envs)
         try:
-            return roll_out(
-                acting(self.policy, envs),
-                envs,
-                seed=self.plan.seed,
-                steps=steps,
-                push=push,
-                noise=noise,
-            )
+            policy = acting(self.policy, envs)
+            return roll_out(policy, envs, seed=plan.seed, steps=steps, push=push, noise=noise)
         finally:
             envs.close()
 
     def measures(
         self, steps: int | None = None, window: int | None = None, noise: Noise | None = None
-    ) -> dict[str, float | None]:
-        """`tracking_measures` of the whole, `orbit_measures` of the last steps.
+    ) -> dict[str, Any]:
+        """What `evaluate_policy` gives.
 
         Args:
             steps: control periods; None: the plan's.
@@ -117,9 +106,16 @@ class AgentTest:
             noise: disturbs what the agent sees.
         """
         steps = steps or self.plan.steps
-        rollout = self.run(steps, noise=noise)
-        orbit = orbit_measures(rollout, self.target, max(window or steps // 2, 1))
-        return {**orbit, **tracking_measures(rollout)}
+        return evaluate_policy(
+            self.policy,
+            self,
+            episodes=self.plan.episodes,
+            steps=steps,
+            seed=self.plan.seed,
+            noise=noise,
+            window=max(window or steps // 2, 1),
+            threads=1,
+        )
 
     def recovery(
         self, push: Push | None = None, noise: Noise | None = None
@@ -171,25 +167,24 @@ def measure_agent(
     for stiffness, damping in BODIES:
         body = changed_body(parameters, stiffness, damping)
         found = AgentTest(chosen, body, settings, given).measures()
-        kept = {name: found[name] for name in ("return", "orbit_distance", "period")}
+        kept = _selected(found, "return", "orbit_distance", "period")
         bodies.append({"stiffness": stiffness, "damping": damping, **kept})
-    noises: list[dict[str, Any]] = []
-    for size in NOISES:
-        found = test.measures(noise=Noise(size))
-        kept = {name: found[name] for name in ("return", "orbit_distance")}
-        noises.append({"size": size, **kept})
+    noises = [
+        {"size": size, **_selected(test.measures(noise=Noise(size)), "return", "orbit_distance")}
+        for size in NOISES
+    ]
     return {
-        "return": standard["return"],
-        "tracking_error": standard["tracking_error"],
-        "orbit_distance": long["orbit_distance"],
-        "period": long["period"],
-        "held": long["held"],
-        "survival": long["survival"],
+        **_selected(standard, "return", "tracking_error"),
+        **_selected(long, "orbit_distance", "period", "held", "survival"),
         "pushes": [{"size": size, **test.recovery(push=Push(size))} for size in PUSHES],
         "bursts": [{"size": size, **test.recovery(noise=Noise(size, *_BURST))} for size in BURSTS],
         "noises": noises,
         "bodies": bodies,
     }
+
+
+def _selected(measures: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: measures[name] for name in names}
 
 
 def inference_time(policy: PolicyPredictor, springs: int, *, calls: int = 2000) -> float:

@@ -84,15 +84,9 @@ def _draw_curves(rows: Mapping[str, Sequence[Row]], teaching_steps: int) -> Figu
         _plain(axes)
     panels[0].set_ylabel("return of 500, judging seeds")
     trained = {row["agent"] for own in rows.values() for row in own if row["curves"]}
-    handles = [
-        Line2D([], [], color=colour, label=agent)
-        for agent, (colour, _) in _LOOKS.items()
-        if agent in trained
-    ]
-    handles.append(
-        Line2D([], [], color=BLUE, linestyle=":", label="readouts: their samples, their return")
-    )
-    _legend(figure, handles, 6 if len(rows) > 1 else 2)
+    label = "readouts: their samples, their return"
+    bounds = Line2D([], [], color=BLUE, linestyle=":", label=label)
+    _legend(figure, trained, 6 if len(rows) > 1 else 2, bounds, markers=False)
     return figure
 
 
@@ -145,8 +139,7 @@ def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
                 _draw_line(axes, row["agent"], places, [each[figure_of] for each in entries])
         for line in other.get_lines():
             line.set_linestyle("")
-        noisy.set(xscale="log", xlabel="noise on the lengths (µm)")
-        noisy.set_title(_TITLES[target], fontsize=10)
+        noisy.set(xscale="log", xlabel="noise on the lengths (µm)", title=_TITLES[target])
         pushed.set(xscale="log", xlabel="push of the base (degrees)")
         pushed.set_xticks(pushes, [f"{size:g}" for size in pushes])
         pushed.minorticks_off()
@@ -159,12 +152,7 @@ def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
     panels[1, 0].set_ylabel("share back on the orbit")
     panels[2, 0].set_ylabel("distance from the orbit, in amplitudes")
     present = {row["agent"] for own in rows.values() for row in own}
-    handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=5, label=agent)
-        for agent, (colour, marker) in _LOOKS.items()
-        if agent in present
-    ]
-    _legend(figure, handles, 5 if len(rows) > 1 else 3)
+    _legend(figure, present, 5 if len(rows) > 1 else 3)
     return figure
 
 
@@ -195,8 +183,7 @@ def _draw_portraits(
         for axes, row in zip(line, own, strict=True):
             axes.plot(*np.vstack((orbit, orbit[:1])).T, color=BLACK, linewidth=4, alpha=0.15)
             axes.plot(*np.array(row["portrait"]).T, color=_LOOKS[row["agent"]][0], linewidth=0.9)
-            axes.set_aspect("equal")
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+            axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
             axes.tick_params(labelsize=7)
         line[0].set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
     for axes, row in zip(panels[0], next(iter(rows.values())), strict=True):
@@ -206,9 +193,21 @@ def _draw_portraits(
     return figure
 
 
-def _legend(figure: Figure, handles: Sequence[Line2D], columns: int) -> None:
+def _legend(
+    figure: Figure, agents: set[str], columns: int, *more: Line2D, markers: bool = True
+) -> None:
+    """The agents' looks, and what else is drawn."""
+    handles = [
+        Line2D([], [], color=colour, marker=marker if markers else "", markersize=5, label=agent)
+        for agent, (colour, marker) in _LOOKS.items()
+        if agent in agents
+    ]
     figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
+        handles=[*handles, *more],
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
     )
 
 

@@ -53,32 +53,15 @@ def write_report(result: Mapping[str, Any]) -> str:
     for target in settings["targets"]:
         rows = [row for row in result["rows"] if row["target"] == target]
         lines += [f"## {target}", "", "Undisturbed, and what it cost:", ""]
-        lines += _table(
-            (
-                "agent",
-                "return of 500",
-                "error (°)",
-                "orbit distance",
-                "period",
-                "held 30 s",
-                "survival",
-                "samples",
-                f"samples to {settings['reached']:.0%}",
-                "training (s)",
-                "parameters",
-                "action (µs)",
-            ),
-            [_undisturbed(row) for row in rows],
-        )
+        lines += _table([_undisturbed(row, settings["reached"]) for row in rows])
         for title, header, name, write in disturbed:
-            more = ["transfer"] if name == "bodies" else []
+            entries = (
+                [*row[name], row["transfer"]] if name == "bodies" else row[name] for row in rows
+            )
+            cells = (zip(header, map(write, each), strict=True) for each in entries)
             lines += ["", title, ""]
             lines += _table(
-                ("agent", *header),
-                [
-                    [row["agent"], *map(write, [*row[name], *(row[each] for each in more)])]
-                    for row in rows
-                ],
+                [{"agent": row["agent"], **dict(own)} for row, own in zip(rows, cells, strict=True)]
             )
         lines.append("")
     if result["readout_map"]:
@@ -86,23 +69,23 @@ def write_report(result: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _undisturbed(row: Row) -> list[str]:
+def _undisturbed(row: Row, share: float) -> dict[str, str]:
     seconds = row["training_seconds"]
     reached = row["samples_to_reach"]
-    return [
-        row["agent"],
-        _interval(row["return"], 1),
-        _interval(row["tracking_error"], 3),
-        _interval(row["orbit_distance"], 4),
-        _number(row["period"]["iqm"], 4),
-        f"{row['held']['iqm']:.0%}",
-        f"{row['survival']['iqm']:.0%}",
-        f"{row['samples']:,}" if row["samples"] else "-",
-        "-" if reached is None else _number(reached["iqm"], 0),
-        "-" if seconds is None else _number(seconds["iqm"], 1),
-        f"{row['parameters']:,}",
-        f"{row['inference_us']:.1f}",
-    ]
+    return {
+        "agent": row["agent"],
+        "return of 500": _interval(row["return"], 1),
+        "error (°)": _interval(row["tracking_error"], 3),
+        "orbit distance": _interval(row["orbit_distance"], 4),
+        "period": _number(row["period"]["iqm"], 4),
+        "held 30 s": f"{row['held']['iqm']:.0%}",
+        "survival": f"{row['survival']['iqm']:.0%}",
+        "samples": f"{row['samples']:,}" if row["samples"] else "-",
+        f"samples to {share:.0%}": "-" if reached is None else _number(reached["iqm"], 0),
+        "training (s)": "-" if seconds is None else _number(seconds["iqm"], 1),
+        "parameters": f"{row['parameters']:,}",
+        "action (µs)": f"{row['inference_us']:.1f}",
+    }
 
 
 def _recovery(entry: Row) -> str:
@@ -119,7 +102,6 @@ def _body(entry: Row) -> str:
 
 
 def _readout_map(result: Mapping[str, Any]) -> list[str]:
-    noises = result["settings"]["noises"]
     lines = [
         "## The readout, taught otherwise",
         "",
@@ -130,22 +112,22 @@ def _readout_map(result: Mapping[str, Any]) -> list[str]:
         f"{result['settings']['pushes'][1]:g}°.",
         "",
     ]
-    header = ("target", "κ", "ν (µm)", "return", "held 30 s")
     rows = [
-        [
-            entry["target"],
-            f"{entry['action_noise']:g}",
-            f"{entry['noise'] * 1e6:g}",
-            _number(entry["return"]["iqm"], 1),
-            f"{entry['held']['iqm']:.0%}",
-            *(_number(each["return"]["iqm"], 1) for each in entry["noises"]),
-            f"{entry['recovered']['iqm']:.0%}",
-        ]
+        {
+            "target": entry["target"],
+            "κ": f"{entry['action_noise']:g}",
+            "ν (µm)": f"{entry['noise'] * 1e6:g}",
+            "return": _number(entry["return"]["iqm"], 1),
+            "held 30 s": f"{entry['held']['iqm']:.0%}",
+            **{
+                f"at {each['size'] * 1e6:g} µm": _number(each["return"]["iqm"], 1)
+                for each in entry["noises"]
+            },
+            "recovered": f"{entry['recovered']['iqm']:.0%}",
+        }
         for entry in result["readout_map"]
     ]
-    return lines + _table(
-        (*header, *(f"at {size * 1e6:g} µm" for size in noises), "recovered"), rows
-    )
+    return lines + _table(rows)
 
 
 def _interval(entry: Row, digits: int) -> str:
@@ -157,6 +139,8 @@ def _number(value: float | None, digits: int) -> str:
     return "∞" if value is None else f"{value:,.{digits}f}"
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    rule = ["---", *("---:" for _ in header[1:])]
-    return [f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)]
+def _table(rows: Sequence[Mapping[str, str]]) -> list[str]:
+    """Lines of a table; the keys of its rows are its headings."""
+    rule = ["---", *["---:"] * (len(rows[0]) - 1)]
+    lines = (rows[0], rule, *(row.values() for row in rows))
+    return [f"| {' | '.join(cells)} |" for cells in lines]

@@ -73,16 +73,11 @@ def _row(outcome: Outcome, plan: TestPlan) -> dict[str, Any]:
     envs = OctoArmVectorEnv(1, outcome.target)
     envs.reset(seed=0)
     first, shown = (
-        acting(load_policy(runs[index].policy) if runs else outcome.agent, envs)  # type: ignore[arg-type]
-        for index in (0, middle)
+        load_policy(runs[index].policy) if runs else outcome.agent for index in (0, middle)
     )
-    alone = AgentTest(
-        shown if runs else outcome.agent,  # type: ignore[arg-type]
-        ArmParameters(),
-        outcome.settings,
-        replace(plan, episodes=1),
-    )
-    angles = alone.run(plan.steps).angles[-_SHOWN:, 0]
+    alone = replace(plan, episodes=1)
+    test = AgentTest(shown, ArmParameters(), outcome.settings, alone)  # type: ignore[arg-type]
+    angles = test.run(plan.steps).angles[-_SHOWN:, 0]
     return {
         "agent": outcome.agent,
         "target": outcome.target,
@@ -96,7 +91,7 @@ def _row(outcome: Outcome, plan: TestPlan) -> dict[str, Any]:
         "training_seconds": summary([each["seconds"] for each in trainings]) if trainings else None,
         "parameters": trainings[0]["parameters"] if trainings else 0,
         # Alone on the machine.
-        "inference_us": inference_time(first, envs.single_observation_space.shape[0]),  # type: ignore[index]
+        "inference_us": inference_time(acting(first, envs), envs.single_observation_space.shape[0]),  # type: ignore[arg-type, index]
         "curves": [each["curve"] for each in trainings] if outcome.agent not in READOUTS else [],
         # The base's angles at the end of the first episode of the training of middle return.
         "portrait": [[round(value, 2) for value in pair] for pair in angles.tolist()],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,9 @@ from octoarm_agents.comparison.readout_map import map_readout, map_settings
 from octoarm_agents.comparison.rows import REACHED, Outcome, combined, make_rows
 from octoarm_agents.comparison.shipping import ship
 from octoarm_env import ArmParameters, OctoArmEnv
+
+Measure = Callable[..., list[dict[str, Any]]]
+"""`run_trials` with all that trials of one comparison have in common."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,24 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     """
     out.mkdir(parents=True, exist_ok=True)
     settings = {target: inspect_env(OctoArmEnv(target))[1] for target in comparison.targets}
-    outcomes = _train_and_measure(comparison, settings, out, progress)
+    runs = {
+        (agent, target): [
+            TrainingRun(agent, target, seed, comparison.budget, out / "runs")
+            for seed in range(comparison.seeds if agent in TRAINED else 0)
+        ]
+        for target in comparison.targets
+        for agent in AGENTS
+        if agent in comparison.agents
+    }
+    trainings = train_all([run for own in runs.values() for run in own], comparison.jobs, progress)
+    measure = functools.partial(
+        run_trials,
+        parameters=ArmParameters(),
+        folder=out / ".measured",
+        jobs=comparison.jobs,
+        progress=progress,
+    )
+    outcomes = _make_outcomes(comparison, settings, runs, trainings, measure)
     result = {
         "command": comparison.command,
         "settings": asdict(comparison)
@@ -120,7 +142,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
         },
         "environment": settings,
         "rows": make_rows(outcomes, comparison.plan),
-        "readout_map": _map_readouts(comparison, out, progress),
+        "readout_map": _map_readouts(comparison, measure),
         "machine": describe_machine(),
         "versions": package_versions(
             "octoarm-env",
@@ -157,22 +179,14 @@ def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
     return kept | {"rows": rows}
 
 
-def _train_and_measure(
+def _make_outcomes(
     comparison: Comparison,
     settings: dict[str, dict[str, Any]],
-    out: Path,
-    progress: bool | None,
+    runs: dict[tuple[str, str], list[TrainingRun]],
+    trainings: dict[TrainingRun, dict[str, Any]],
+    measure: Measure,
 ) -> list[Outcome]:
-    runs = {
-        (agent, target): [
-            TrainingRun(agent, target, seed, comparison.budget, out / "runs")
-            for seed in range(comparison.seeds if agent in TRAINED else 0)
-        ]
-        for target in comparison.targets
-        for agent in AGENTS
-        if agent in comparison.agents
-    }
-    summaries = train_all([run for own in runs.values() for run in own], comparison.jobs, progress)
+    """Measure what was trained, and the agents that are not trained."""
     trials = [
         {
             "agent": agent,
@@ -184,48 +198,31 @@ def _train_and_measure(
         for (agent, target), own in runs.items()
         for run in own or (None,)
     ]
-    measures = iter(
-        run_trials(
-            measure_agent,
-            ArmParameters(),
-            trials,
-            folder=out / ".measured",
-            jobs=comparison.jobs,
-            progress=progress,
-            description="measurements",
-        )
-    )
+    measures = iter(measure(measure_agent, settings=trials, description="measurements"))
     return [
         Outcome(
             agent,
             target,
             settings[target],
             own,
-            [summaries[run] for run in own],
+            [trainings[run] for run in own],
             [next(measures) for _ in own or (None,)],
         )
         for (agent, target), own in runs.items()
     ]
 
 
-def _map_readouts(comparison: Comparison, out: Path, progress: bool | None) -> list[dict[str, Any]]:
+def _map_readouts(comparison: Comparison, measure: Measure) -> list[dict[str, Any]]:
     count = comparison.readout_map
     if not count or not set(comparison.agents) & set(READOUTS):
         return []
     points = map_settings(comparison.targets)
-    results = run_trials(
-        map_readout,
-        ArmParameters(),
-        [
-            {**point, "seed": seed, "plan": asdict(comparison.plan)}
-            for point in points
-            for seed in range(count)
-        ],
-        folder=out / ".measured",
-        jobs=comparison.jobs,
-        progress=progress,
-        description="map of readouts",
-    )
+    trials = [
+        {**point, "seed": seed, "plan": asdict(comparison.plan)}
+        for point in points
+        for seed in range(count)
+    ]
+    results = measure(map_readout, settings=trials, description="map of readouts")
     return [
         {**point, **combined(results[count * index : count * (index + 1)])}
         for index, point in enumerate(points)

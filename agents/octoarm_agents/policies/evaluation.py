@@ -64,6 +64,7 @@ def evaluate_policy(
     seed: int = 10_000,
     push: Push | None = None,
     noise: Noise | None = None,
+    window: int | None = None,
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Let an agent act.
@@ -76,10 +77,11 @@ def evaluate_policy(
         seed: of the first; episode i has seed + i.
         push: disturbs the base.
         noise: disturbs what the agent sees.
+        window: last steps by which the orbit is measured; None: the second half.
         threads: that step the arms; the figures do not depend on it.
 
     Returns:
-        `tracking_measures` of the whole, `orbit_measures` of the second half, and ``returns``.
+        `tracking_measures` of the whole, `orbit_measures` of the window, and ``returns``.
 
     Raises:
         ValueError: numbers out of range, or a body with another number of springs.
@@ -90,7 +92,9 @@ def evaluate_policy(
         rollout = roll_out(
             acting(policy, envs), envs, seed=seed, steps=steps, push=push, noise=noise
         )
-        orbit = orbit_measures(rollout, TargetOrbit.of(envs), steps // 2)
+        orbit = orbit_measures(
+            rollout, TargetOrbit.of(envs), steps // 2 if window is None else window
+        )
     finally:
         envs.close()
     return {**orbit, **tracking_measures(rollout), "returns": rollout.returns.tolist()}
