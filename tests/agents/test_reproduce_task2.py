@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from octoarm_agents.experiments.cycles import (
+    bursts,
     figure11,
     figure12,
     figure13,
     floquet,
     limit_cycles,
     taught,
+    trials,
 )
 from octoarm_agents.experiments.cycles.floquet_trials import (
     is_stable,
@@ -194,6 +196,9 @@ def test_an_error_within_is_shown(octoarm, out, monkeypatch):
 
 def test_figure9(reproduce, monkeypatch):
     monkeypatch.setitem(PAPER_BURSTS, "quadratic", (1e-2, 1e-3, 1e-4))
+    # Long enough for what comes back: the window that tells begins 3,000 steps after the noise.
+    for module in (bursts, trials):
+        monkeypatch.setattr(module, "BURST_RUN", 15_000)
     content, printed = reproduce("figure9", "--trials", 2)
     assert "weighted" in printed
     assert set(content["trainings"]) == set(TRAININGS)
