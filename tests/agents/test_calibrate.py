@@ -191,7 +191,7 @@ def test_a_space_is_spanned_by_the_open_parameters_alone(tilt):
     space = SearchSpace(BODY, 1.0, "total", "planform", tilt)
     fixed = set(BODY.to_dict()) - set(OPEN_PARAMETERS)
     for coordinate in (0.0, 0.5, 1.0):
-        changes = space.changes([coordinate] * space.dimension)
+        changes = space.changes([coordinate] * len(space.begin))
         assert set(changes) == set(OPEN_PARAMETERS)
         body = BODY.replace(**changes)
         assert {name: getattr(body, name) for name in fixed} == {
@@ -203,7 +203,7 @@ def test_a_space_is_spanned_by_the_open_parameters_alone(tilt):
             ends = {0.0: number.low, 1.0: number.high}
             assert getattr(body, name) == pytest.approx(ends.get(coordinate, getattr(body, name)))
             assert number.low * (1 - 1e-12) <= getattr(body, name) <= number.high * (1 + 1e-12)
-    middle = space.changes([0.5] * space.dimension)
+    middle = space.changes([0.5] * len(space.begin))
     assert middle["area_scale"] == pytest.approx(5.0)
     assert middle["plane_mass"] == pytest.approx(math.sqrt(1e-4 * 0.1))
     assert middle["arm_density"] == pytest.approx(1172.5)

@@ -198,6 +198,9 @@ def test_an_error_within_is_shown(octoarm, out, monkeypatch):
 
 def test_figure9(reproduce, monkeypatch):
     monkeypatch.setitem(PAPER_BURSTS, "quadratic", (1e-2, 1e-3, 1e-4))
+    # Long enough for what comes back: the window that tells begins 3,000 steps after the noise.
+    for module in (bursts, trials):
+        monkeypatch.setattr(module, "BURST_RUN", 15_000)
     content, printed = reproduce("figure9", "--trials", 2)
     assert "weighted" in printed
     assert set(content["trainings"]) == set(TRAININGS)

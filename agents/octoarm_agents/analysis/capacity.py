@@ -46,8 +46,7 @@ class Capacities(NamedTuple):
 
     def significant(self, threshold: float) -> Float:
         """Corrected capacities, zero where the multiple of the bias is not above `threshold`."""
-        counts = self.multiples > threshold
-        result: Float = np.where(counts, self.corrected, 0.0)
+        result: Float = np.where(self.multiples > threshold, self.corrected, 0.0)
         return result
 
 

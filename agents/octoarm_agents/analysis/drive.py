@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -116,23 +115,22 @@ class DrivenArm:
         self.arm.state = ArmState(coordinates, rates, base)
         self.last = last
 
-    def run(self, values: Float, each: Callable[[Float], None] | None = None) -> None:
-        """Follow input values (T,), one a hold.
+    def run(self, values: Float) -> Float:
+        """Follow input values (T,), one a hold, of size at most 1.
 
-        Args:
-            values: of size at most 1.
-            each: called with the spring lengths at the end of each hold of a chunk, (chunk, 4 N).
+        Returns:
+            The spring lengths at the end of each hold, (T, 4 N) [m].
 
         Raises:
             DomainError: the arm left the domain of the model.
         """
+        lengths = []
         for begin in range(0, len(values), _CHUNK):
             chunk = values[begin : begin + _CHUNK]
             angles = self.drive.angles(chunk, self.last, self.arm.parameters.timestep)
-            lengths = self.arm.run(angles)
+            lengths.append(self.arm.run(angles)[self.hold_steps - 1 :: self.hold_steps].copy())
             self.last = float(chunk[-1])
-            if each is not None:
-                each(lengths[self.hold_steps - 1 :: self.hold_steps].copy())
+        return np.concatenate(lengths)
 
 
 def record_arm(parameters: ArmParameters, drive: Drive, values: Float) -> Recording:
@@ -142,9 +140,7 @@ def record_arm(parameters: ArmParameters, drive: Drive, values: Float) -> Record
         DomainError: the arm left the domain of the model.
         ValueError: a body without a static equilibrium, or values that are all the same.
     """
-    lengths: list[Float] = []
-    DrivenArm(parameters, drive).run(values, lengths.append)
-    return Recording(np.concatenate(lengths), values)
+    return Recording(DrivenArm(parameters, drive).run(values), values)
 
 
 def state_scales(parameters: ArmParameters, drive: Drive, values: Float) -> Float:

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from octoarm_agents.analysis.measures import Measures
 from octoarm_agents.analysis.survey import ArmSurvey
-from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, new_figure, write_letters
+from octoarm_agents.common.plotting import (
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILLION,
+    new_figure,
+    shades,
+    write_letters,
+)
 
 _IMPOSSIBLE = "\nimpossible: see the warnings"
 
@@ -37,32 +46,16 @@ def draw_analysis(measures: Measures, survey: ArmSurvey | None = None) -> Figure
     return figure
 
 
-def degree_colours(count: int) -> list[tuple[float, float, float, float]]:
-    """Colours for the degrees 1 … `count`, from dark to light, that every eye can order."""
-    return [colormaps["viridis"](0.92 * k / max(count - 1, 1)) for k in range(count)]
-
-
 def _draw_memory(axes: Axes, measures: Measures) -> None:
     memory = measures.memory
-    for column, capacities in enumerate(memory.capacities):
-        several = f", input {column + 1}" if len(memory.capacities) > 1 else ""
-        delays = np.arange(len(capacities))
-        axes.plot(
-            delays,
-            memory.held_out[column],
-            "o",
-            color=VERMILLION,
-            markersize=4,
-            markerfacecolor="none",
-            label="on held-out rows" if column == 0 else None,
-        )
-        axes.plot(
-            delays,
-            capacities,
-            color=degree_colours(len(memory.capacities))[column] if several else BLUE,
-            linewidth=1.4,
-            label=f"all rows, without bias{several}",
-        )
+    several = len(memory.capacities) > 1
+    colours = shades(len(memory.capacities)) if several else [BLUE]
+    for column, (capacities, colour) in enumerate(zip(memory.capacities, colours, strict=True)):
+        label = None if column else "on held-out rows"
+        circles: dict[str, Any] = {"markersize": 4, "markerfacecolor": "none", "label": label}
+        axes.plot(memory.held_out[column], "o", color=VERMILLION, **circles)
+        label = "all rows, without bias" + (f", input {column + 1}" if several else "")
+        axes.plot(capacities, color=colour, linewidth=1.4, label=label)
     axes.set(xlim=(-0.5, measures.settings.max_delay + 0.5), ylim=(-0.02, 1.05))
     axes.set_xlabel(f"delay k ({measures.recording.sampling.unit})")
     axes.set_ylabel("memory capacity $MC_k$")
@@ -76,18 +69,10 @@ def _draw_processing(axes: Axes, measures: Measures) -> None:
     table = processing.by_degree_and_oldest_delay
     delays = np.arange(table.shape[1])
     base = np.zeros(len(delays))
-    for degree, (row, colour) in enumerate(
-        zip(table, degree_colours(len(table)), strict=True), start=1
-    ):
-        axes.bar(
-            delays,
-            row,
-            bottom=base,
-            width=0.9,
-            color=colour,
-            label=f"degree {degree}: {row.sum():.2f} "
-            f"(delays to {processing.largest_delays_by_degree[degree - 1]})",
-        )
+    columns = table, shades(len(table)), processing.largest_delays_by_degree
+    for degree, (row, colour, delay) in enumerate(zip(*columns, strict=True), start=1):
+        label = f"degree {degree}: {row.sum():.2f} (delays to {delay})"
+        axes.bar(delays, row, bottom=base, width=0.9, color=colour, label=label)
         base += row
     # A false alarm at a large delay shall not press all else to the side.
     used = np.flatnonzero(base > 0.01 * base.max())
@@ -125,7 +110,7 @@ def _draw_degrees(axes: Axes, measures: Measures) -> None:
     processing = measures.processing
     sums = processing.by_degree
     degrees = np.arange(1, len(sums) + 1)
-    axes.bar(degrees, sums, color=degree_colours(len(sums)))
+    axes.bar(degrees, sums, color=shades(len(sums)))
     for degree, value, counts in zip(degrees, sums, processing.counts, strict=True):
         axes.text(int(degree), value, counts, ha="center", va="bottom", fontsize=8)
     axes.set(xticks=degrees, ylim=(0, 1.15 * max(float(sums.max()), 0.1)))

@@ -160,17 +160,18 @@ def _separate(parameters: ArmParameters, settings: SurveySettings) -> Separation
     different = settings.values(_DIFFERENT, *shape)
     others, share = settings.values(_SIMILAR, *shape), settings.similarity
     similar = (1 - share) * different[0] + share * others
-    finals = []
     driven = DrivenArm(parameters, settings.drive)
-    for streams in (different, similar):
+
+    def final_states(streams: Float) -> Float:
         states = []
         for stream in streams:
             driven.arm.reset()
             driven.last = 0.0
-            driven.run(stream)
-            states.append(driven.arm.lengths)
-        finals.append(np.array(states))
-    return separation_ranks(finals[0], finals[1], settings.measures.tolerance)
+            states.append(driven.run(stream)[-1])
+        return np.array(states)
+
+    tolerance = settings.measures.tolerance
+    return separation_ranks(final_states(different), final_states(similar), tolerance)
 
 
 def _echo(parameters: ArmParameters, settings: SurveySettings, scales: Float) -> EchoState:

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from octoarm_agents.analysis.figure import analysis_figure, degree_colours
+from octoarm_agents.analysis.figure import analysis_figure
 from octoarm_agents.analysis.sweep import QUANTITIES, Quantity, SweepPoint
-from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, write_letters
+from octoarm_agents.common.plotting import BLUE, GREEN, GREY, VERMILLION, shades, write_letters
 
 
 def draw_sweep(quantity: Quantity, points: Sequence[SweepPoint]) -> Figure:
@@ -74,7 +74,7 @@ def _draw_degrees(axes: Axes, points: Sequence[SweepPoint]) -> None:
     table = np.array(rows).T
     labels = [f"degree {k}" for k in range(1, len(table) + 1)]
     labels[0] = "degree 1 (linear)"
-    axes.stackplot(values, table, colors=degree_colours(len(table)), labels=labels, alpha=0.9)
+    axes.stackplot(values, table, colors=shades(len(table)), labels=labels, alpha=0.9)
     axes.plot(values, table.sum(axis=0), "o", color="black", markersize=3)
     # Room for the legend above the areas, which fill the panel from side to side.
     axes.set_ylim(0, 1.5 * float(table.sum(axis=0).max()) + 1e-3)

@@ -97,7 +97,7 @@ def calibrate_body(
         "versions": package_versions("octoarm-env", "octoarm-agents", "cma", "numpy"),
         "machine": describe_machine(),
     }
-    write_atomically(out / "calibration.png", lambda path: draw_calibration(tried, spaces, path))
+    write_atomically(out / "calibration.png", draw_calibration(tried, spaces).savefig)
     write_json(out / "body.json", body.to_dict())
     write_json(out / "calibration.json", result)
     return result

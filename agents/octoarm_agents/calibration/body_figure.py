@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from octoarm_agents.calibration.evaluation import Evaluation
 from octoarm_agents.calibration.space import OPEN_NUMBERS, READINGS, SearchSpace
@@ -33,15 +33,12 @@ _PANELS = 3
 """Panels a row below."""
 
 
-def draw_calibration(
-    tried: Sequence[Evaluation], spaces: Sequence[SearchSpace], path: Path
-) -> None:
+def draw_calibration(tried: Sequence[Evaluation], spaces: Sequence[SearchSpace]) -> Figure:
     """Above, errors against evaluations; below, the score against every parameter searched.
 
     Args:
         tried: evaluations, see `search_bodies`; at least one without failure.
         spaces: that were searched.
-        path: of the picture.
     """
     scatters = [*OPEN_NUMBERS, *(("gravity",) if spaces[0].tilt else ())]
     rows = math.ceil(len(scatters) / _PANELS)
@@ -57,7 +54,7 @@ def draw_calibration(
         _draw_scatter(axes, name, tried, spaces)
     below[0].legend(fontsize=7, frameon=False)
     write_letters([above, *below])
-    figure.savefig(path)
+    return figure
 
 
 def _draw_ratios(axes: Axes, tried: Sequence[Evaluation]) -> None:

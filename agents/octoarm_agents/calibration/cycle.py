@@ -11,13 +11,8 @@ from typing import Any, Literal
 from octoarm_agents.common.files import write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.reservoir.closed_loop import (
-    FORCED_STEPS,
-    WINDOW_STEPS,
-    ClosedLoop,
-    release,
-    score_window,
-)
+from octoarm_agents.experiments.cycles.trials import TaughtLoop
+from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, WINDOW_STEPS, score_window
 from octoarm_agents.reservoir.teaching import TIME_SCALES, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
 from octoarm_env import LIMIT_CYCLES, ArmParameters
@@ -79,18 +74,15 @@ def calibrate_cycle(
         advance=lambda: report("candidates", candidate),
     )
     taught = teach(parameters, tuned.teaching)
-    loop = ClosedLoop(
-        release(parameters, target, amplitude, actuator),
-        taught.readout.weights_,
-        amplitude,
-        advance=lambda count: report("closed loop", count / 1000 * candidate),
+    cycle = TaughtLoop(target, amplitude, actuator, taught.readout.weights_.tolist())
+    loop = cycle.close(
+        parameters, advance=lambda count: report("closed loop", count / 1000 * candidate)
     )
     loop.run(steps)
-    cycle = LIMIT_CYCLES[target]
     scores = None
     if loop.failure is None:
-        turn = cycle.period / parameters.timestep
-        scores = score_window(loop.outputs[-WINDOW_STEPS:], cycle.orbit(amplitude), turn)
+        turn = LIMIT_CYCLES[target].period / parameters.timestep
+        scores = score_window(loop.outputs[-WINDOW_STEPS:], cycle.orbit, turn)
     result = {
         "settings": {
             "evaluations": evaluations,

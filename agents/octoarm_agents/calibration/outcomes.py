@@ -46,7 +46,7 @@ def _outcomes(parameters: ArmParameters, target: str, seeds: int) -> list[str]:
         lesson = Lesson(parameters, teaching)
     except DomainError:
         return ["lost"] * seeds
-    cycle, found = LIMIT_CYCLES[target], []
+    orbit, found = LIMIT_CYCLES[target].orbit(teaching.amplitude), []
     for seed in range(seeds):
         weights = lesson.fit(replace(teaching, seed=seed)).weights_
         start = lesson.run.arm_after(FORCED_STEPS)
@@ -55,9 +55,7 @@ def _outcomes(parameters: ArmParameters, target: str, seeds: int) -> list[str]:
         if loop.failure is not None:
             found.append("lost")
             continue
-        window = loop.outputs[-WINDOW_STEPS:]
-        turn = cycle.period / parameters.timestep
-        scores = score_window(window, cycle.orbit(teaching.amplitude), turn)
+        scores = score_window(loop.outputs[-WINDOW_STEPS:], orbit, lesson.run.turn)
         found.append("held" if scores["held"] else "irregular")
     return found
 

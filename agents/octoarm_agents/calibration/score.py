@@ -156,17 +156,14 @@ def evaluate_bodies(
         noise_seeds: trainings of each limit cycle, see `plain_outcomes`; 0: none.
     """
     cycles = list((amplitudes or {}).items())
-    results: dict[int, Judgement] = {}
+    judged = [Judgement() for _ in bodies]
     arms: dict[int, Arm] = {}
 
     def fail(index: int, stage: str, part: float, remaining: int, **more: str) -> None:
-        failure = {"stage": stage, "part": part} | more
-        results[index] = Judgement(
-            score=FAILURE + remaining - part, ratios=ratios.get(index), failure=failure
-        )
+        judged[index].score = FAILURE + remaining - part
+        judged[index].failure = {"stage": stage, "part": part} | more
         arms.pop(index, None)
 
-    ratios: dict[int, dict[str, float]] = {}
     for index, body in enumerate(bodies):
         try:
             check_timestep(body)
@@ -178,16 +175,14 @@ def evaluate_bodies(
         if isinstance(outcome, DomainError):
             fail(index, "task1", outcome.step / _drive(initial).test.stop, 1 + len(cycles))
         else:
-            ratios[index] = outcome
+            judged[index].ratios, judged[index].score = outcome, score_ratios(outcome)
     for stage, (target, amplitude) in enumerate(cycles):
         steps = follow_teachers(list(arms.values()), [target] * len(arms), [amplitude] * len(arms))
         for index, made in zip(list(arms), steps, strict=True):
             if made < TEACHER_STEPS:
                 fail(index, target, made / TEACHER_STEPS, len(cycles) - stage)
-    for index in arms:
-        score, outcomes = score_ratios(ratios[index]), None
-        if noise_seeds:
-            outcomes = plain_outcomes(bodies[index], noise_seeds)
-            score = min(score + OUTCOME_WEIGHT * count_contradictions(outcomes), FAILURE)
-        results[index] = Judgement(score=score, outcomes=outcomes, ratios=ratios[index])
-    return [results[index] for index in range(len(bodies))]
+    for index in arms if noise_seeds else ():
+        judged[index].outcomes = outcomes = plain_outcomes(bodies[index], noise_seeds)
+        score = judged[index].score + OUTCOME_WEIGHT * count_contradictions(outcomes)
+        judged[index].score = min(score, FAILURE)
+    return judged

@@ -144,7 +144,7 @@ class _Search:
             ValueError: the file holds another body in the place of a candidate.
         """
         if self._strategy.stop():
-            self._strategy = self._begin(self._random.uniform(size=self.space.dimension))
+            self._strategy = self._begin(self._random.uniform(size=len(self.space.begin)))
         self._candidates = self._strategy.ask()
         self._asked = []
         for candidate in self._candidates[:count]:

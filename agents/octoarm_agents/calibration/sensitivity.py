@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -117,9 +118,9 @@ def probe_change(
     for target in LIMIT_CYCLES:
         tried = len(amplitudes)
         steps = follow_teachers([arm] * tried, [target] * tried, amplitudes)
-        failed = [made < TEACHER_STEPS for made in steps]
-        followed = amplitudes[: failed.index(True)] if True in failed else amplitudes
-        largest[target] = followed[-1] if followed else None
+        tries = zip(amplitudes, steps, strict=True)
+        followed = takewhile(lambda pair: pair[1] == TEACHER_STEPS, tries)
+        largest[target] = max((amplitude for amplitude, _ in followed), default=None)
     outcomes = plain_outcomes(body, noise_seeds) if noise_seeds else None
     return result | {"task1": task1, "outcomes": outcomes, "largest_amplitudes": largest}
 
@@ -183,7 +184,7 @@ def measure_sensitivity(
         "machine": describe_machine(),
     }
     text = sensitivity_markdown(result)
-    write_atomically(out / "sensitivity.png", lambda path: draw_sensitivity(result, path))
+    write_atomically(out / "sensitivity.png", draw_sensitivity(result).savefig)
     write_text(out / "sensitivity.md", text)
     write_json(out / "sensitivity.json", result)
     return result

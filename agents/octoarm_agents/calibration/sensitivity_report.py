@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from octoarm_agents.common.plotting import (
@@ -83,14 +83,13 @@ def _outcome_cells(change: Mapping[str, Any]) -> list[str]:
     return cells
 
 
-def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:
+def draw_sensitivity(result: Mapping[str, Any]) -> Figure:
     """A panel a task: a dot a moved parameter, a cross where the arm leaves its domain.
 
     The last panel shows the largest R of each cycle.
 
     Args:
         result: of `octoarm_agents.calibration.sensitivity.measure_sensitivity`.
-        path: of the picture.
     """
     changes = result["changes"]
     figure = new_figure(13.0, 1.6 + 0.24 * len(changes))
@@ -122,7 +121,7 @@ def draw_sensitivity(result: Mapping[str, Any], path: Path) -> None:
     figure.supxlabel(
         "line: the body as it is; dotted: the paper's; cross: leaves its domain", fontsize=8
     )
-    figure.savefig(path)
+    return figure
 
 
 def _draw_amplitudes(axes: Any, changes: list[Mapping[str, Any]]) -> None:
@@ -136,13 +135,9 @@ def _draw_amplitudes(axes: Any, changes: list[Mapping[str, Any]]) -> None:
             if change["largest_amplitudes"] is not None
         ]
         if points:
-            axes.plot(
-                *zip(*points, strict=True),
-                marker,
-                color=colour,
-                markersize=4,
-                label=target.replace("_", " "),
-            )
+            label = target.replace("_", " ")
+            x, y = zip(*points, strict=True)
+            axes.plot(x, y, marker, color=colour, markersize=4, label=label)
     axes.set_xlim(left=-3)
     axes.legend(fontsize=7, frameon=False)
     axes.set_title("largest R of the teacher", fontsize=10)

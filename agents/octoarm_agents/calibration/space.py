@@ -87,11 +87,6 @@ class SearchSpace:
     tilt: bool = False
 
     @property
-    def dimension(self) -> int:
-        """Number of coordinates."""
-        return len(OPEN_NUMBERS) + 2 * self.tilt
-
-    @property
     def begin(self) -> list[float]:
         """Coordinates of the body with which a search begins: `base`, or what is nearest to it."""
         numbers = [

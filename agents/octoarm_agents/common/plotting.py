@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,6 +28,11 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), dpi=150, layout=layout)
     FigureCanvasAgg(figure)
     return figure
+
+
+def shades(count: int) -> list[tuple[float, float, float, float]]:
+    """So many colours, from dark to light, that every eye can order."""
+    return [colormaps["viridis"](0.92 * index / max(count - 1, 1)) for index in range(count)]
 
 
 def write_letters(panels: Sequence[Axes]) -> None:

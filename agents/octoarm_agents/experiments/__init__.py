@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["EXPERIMENTS", "Entry"]
-
 
 class Entry(NamedTuple):
     """Where an experiment is found, and what it shows.

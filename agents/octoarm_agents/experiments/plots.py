@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -22,11 +21,6 @@ def say_missing(axes: Axes, failure: Mapping[str, Any] | None) -> None:
     place: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
     axes.set_axis_off()
     axes.text(0.5, 0.5, message, color=GREY, fontsize=8, **place)
-
-
-def compartment_colours(count: int) -> list[Any]:
-    """A colour for each compartment: dark at the base, light at the tip."""
-    return [colormaps["viridis"](0.92 * index / max(count - 1, 1)) for index in range(count)]
 
 
 def number_compartments(axes: Axes, count: int) -> None:

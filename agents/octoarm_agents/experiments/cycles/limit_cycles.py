@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from octoarm_agents.common.plotting import BLUE, GREEN, new_figure, write_letters
+from octoarm_agents.common.plotting import BLUE, GREEN, new_figure, shades, write_letters
 from octoarm_agents.experiments.cycles.plots import draw_outputs, draw_portrait, explain_outputs
 from octoarm_agents.experiments.cycles.taught import (
     FOLDER,
@@ -27,7 +28,7 @@ from octoarm_agents.experiments.cycles.taught import (
     teach_cycles,
 )
 from octoarm_agents.experiments.cycles.trials import BURST_BEGIN, BURST_END, BURST_RUN, hold_cycle
-from octoarm_agents.experiments.plots import compartment_colours, say_missing
+from octoarm_agents.experiments.plots import say_missing
 from octoarm_agents.experiments.runner import Experiment, RefusedError, RunSettings
 from octoarm_agents.experiments.tables import ResultTable, format_count
 from octoarm_agents.reservoir.closed_loop import WINDOW_STEPS
@@ -145,12 +146,8 @@ def largest_recovered(fractions: Sequence[tuple[float, float]]) -> float | None:
     Returns:
         The ε before the first from which not all recover; None if that is the smallest.
     """
-    largest = None
-    for burst, fraction in fractions:
-        if fraction < 1:
-            break
-        largest = burst
-    return largest
+    held = takewhile(lambda pair: pair[1] >= 1, fractions)
+    return max((burst for burst, _ in held), default=None)
 
 
 def tables(result: Mapping[str, Any]) -> list[ResultTable]:
@@ -266,7 +263,7 @@ def _draw_lengths(axes: Axes, series: Mapping[str, Any], timestep: float) -> Non
     """Spring 1 of some compartments."""
     time = [timestep * step for step in series["step"]]
     count = len(series["compartments"])
-    named = zip(series["compartments"], compartment_colours(count), strict=True)
+    named = zip(series["compartments"], shades(count), strict=True)
     for values, (name, colour) in zip(series["lengths_metres"], named, strict=True):
         axes.plot(time, [1e3 * v for v in values], color=colour, linewidth=1.0, label=f"{name}")
     axes.margins(x=0.0)

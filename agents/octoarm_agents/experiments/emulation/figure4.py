@@ -18,6 +18,7 @@ from octoarm_agents.common.plotting import (
     TASK_LABELS,
     VERMILLION,
     new_figure,
+    shades,
     write_letters,
 )
 from octoarm_agents.experiments.emulation.protocol import (
@@ -30,7 +31,6 @@ from octoarm_agents.experiments.emulation.protocol import (
     record_many,
 )
 from octoarm_agents.experiments.emulation.trials import SPRINGS_PER_COMPARTMENT
-from octoarm_agents.experiments.plots import compartment_colours
 from octoarm_agents.experiments.runner import Experiment, RunSettings, round_numbers
 from octoarm_agents.experiments.tables import ResultTable, format_number
 from octoarm_agents.reservoir.baselines import powers
@@ -116,11 +116,11 @@ def draw(result: Mapping[str, Any]) -> Figure:
             axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", color=GREY)
             continue
         rows = lengths[spring::SPRINGS_PER_COMPARTMENT]
-        for values, colour in zip(rows, compartment_colours(len(rows)), strict=True):
-            axes.plot(time, 1e3 * np.array(values), color=colour, linewidth=0.6)
+        for values, shade in zip(rows, shades(len(rows)), strict=True):
+            axes.plot(time, 1e3 * np.array(values), color=shade, linewidth=0.6)
     if lengths is not None:
         count = len(lengths) // SPRINGS_PER_COMPARTMENT
-        scale = ScalarMappable(cmap=ListedColormap(compartment_colours(count)))
+        scale = ScalarMappable(cmap=ListedColormap(shades(count)))
         scale.set_clim(0.5, count + 0.5)
         bar = figure.colorbar(scale, ax=springs, aspect=40, pad=0.01)
         bar.set_label("compartment, from the base", fontsize=8)
