@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import inspect
 from collections.abc import Mapping
 from typing import Any, Literal, Protocol, SupportsFloat
@@ -177,6 +176,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012, declared so by gymnasium.Env
+    _core: EpisodeCore
 
     def __init__(
         self,
@@ -207,7 +207,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             reward_width,
             action_change_weight,
         )
-        self._core = self._episode(self._settings)
+        self._core = self._new_core()
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
         self._pictures = Pictures(
@@ -358,9 +358,8 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         """What the episodes are made of."""
         return self._settings
 
-    def _episode(self, settings: EpisodeSettings) -> EpisodeCore:
-        """Make the episode behind this environment."""
-        return _core.Episode(settings.text)
+    def _new_core(self) -> EpisodeCore:
+        return _core.Episode(self._settings.text)
 
     @property
     def _subject(self) -> Subject:
@@ -369,18 +368,3 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     def _show(self, history: History, *, again: bool = False) -> None:
         if self.render_mode == "human":
             self._pictures.show(history, self._subject, again=again)
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_saved"] = state.pop("_core").save()
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        episode = state.pop("_saved")
-        self.__dict__.update(state)
-        self._core = self._episode(self._settings)
-        self._core.load(episode)
-
-    def __copy__(self) -> OctoArmEnv:
-        """Give an independent environment, as deepcopy does: half a copy would share its past."""
-        return copy.deepcopy(self)
