@@ -280,7 +280,6 @@ def _put_below_wrappers(envs: VectorEnv[Any, Any, Any]) -> _OwnInfos | None:
         ValueError: a wrapper turns the infos or arrays into something else.
     """
     layer = envs
-    below = None
     while isinstance(layer, VectorWrapper):
         if _CONVERTERS & {each.__name__ for each in type(layer).__mro__}:
             raise ValueError(
@@ -289,9 +288,9 @@ def _put_below_wrappers(envs: VectorEnv[Any, Any, Any]) -> _OwnInfos | None:
             )
         if not isinstance(layer.env, VectorWrapper):
             below = layer.env = _OwnInfos(layer.env)
-            break
+            return below
         layer = layer.env
-    return below
+    return None
 
 
 def make_sb3_vec_env(num_envs: int, *, seed: int | None = None, **kwargs: Any) -> Sb3VecEnv:
