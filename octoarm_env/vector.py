@@ -447,26 +447,14 @@ def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _is_list_of_targets(target: Any) -> bool:
-    """Whether this is a sequence of targets; a (T, 2) nesting of numbers is one target."""
-    return (
-        _is_sequence(target)
-        and not isinstance(target, np.ndarray)
-        and any(isinstance(each, str) or np.ndim(each) == 2 for each in target)
-    )
-
-
-_SEVERAL: dict[str, Callable[[Any], bool]] = {
-    "target": _is_list_of_targets,
-    "amplitude": _is_sequence,
-    "arm": _is_sequence,
-}
-"""Arguments that may be one an environment, and whether a value is."""
-
-
 def _per_env(name: str, value: Any, count: int) -> list[Any]:
     """One value an environment."""
-    if name not in _SEVERAL or not _SEVERAL[name](value):
+    several = name in ("target", "amplitude", "arm") and _is_sequence(value)
+    if several and name == "target":
+        # An array, or another (T, 2) nesting of numbers, is one target.
+        targets = [] if isinstance(value, np.ndarray) else value
+        several = any(isinstance(each, str) or np.ndim(each) == 2 for each in targets)
+    if not several:
         return [value] * count
     if len(value) != count:
         raise ValueError(f"{name} has {len(value)} entries, expected one or {count} (num_envs)")

@@ -26,7 +26,11 @@ _OBSERVED = ("spring_lengths", "reward", *_INFO, "failure")
 
 
 class RemoteEpisode:
-    """An episode in a world of its own on a server."""
+    """An episode in a world of its own on a server, with the methods of the compiled `Episode`.
+
+    A seed is in [0, 2**64), a saved episode is JSON text. Errors are a ValueError or TypeError that
+    names the argument, its value and what is allowed; nothing is changed then.
+    """
 
     def __init__(self, connection: Connection, settings: EpisodeSettings) -> None:
         self.connection = connection
@@ -189,7 +193,7 @@ class RemoteOctoArm(OctoArmEnv):
 
     _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
     _remedy = 'gym.make("OctoArmRemote-v0", {}=...)'
-    _core: RemoteEpisode
+    _core: RemoteEpisode  # type: ignore[assignment]  # it does what the compiled one does
 
     def _new_core(self) -> RemoteEpisode:
         address, token, certificate, timeout = self._server

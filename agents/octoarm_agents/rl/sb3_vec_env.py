@@ -19,22 +19,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 import octoarm_env  # noqa: F401, registers the environment
-
-try:
-    from stable_baselines3.common.env_util import is_wrapped
-    from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import (
-        VecEnvIndices,
-        VecEnvObs,
-        VecEnvStepReturn,
-    )
-except ImportError as error:
-    raise ImportError(
-        'octoarm_agents.rl needs stable-baselines3: pip install "octoarm-agents[rl]"'
-    ) from error
-
 
 Info = dict[str, Any]
 
