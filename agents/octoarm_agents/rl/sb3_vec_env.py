@@ -10,7 +10,7 @@ environment as stable-baselines3's own `DummyVecEnv` would have it, bit by bit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 from warnings import warn
@@ -119,7 +119,14 @@ class Sb3VecEnv(VecEnv):
         rows = _rows(current, self.num_envs, {"TimeLimit.truncated": False})
         if ended:
             own = infos.keys() if self._own is None else self._own.keys
-            self._end_episodes(ended, truncated & ~terminated, infos, own, rows)
+            last_rows = _rows(infos["final_info"], self.num_envs)
+            for index in ended:
+                # What wrappers add belongs to the episode that has ended, the rest to the next one.
+                row = rows[index]
+                self.reset_infos[index] = {key: row[key] for key in row if key in own}
+                rows[index] = last_rows[index] | {key: row[key] for key in row if key not in own}
+                rows[index]["TimeLimit.truncated"] = bool(truncated[index] & ~terminated[index])
+                rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
         return deepcopy(observations), rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
@@ -228,27 +235,6 @@ class Sb3VecEnv(VecEnv):
     def _envs(self) -> Sequence[gym.Env[Any, Any]] | None:
         """The single environments, where the vector environment has any."""
         return getattr(self._innermost, "envs", None)
-
-    def _end_episodes(
-        self,
-        ended: list[int],
-        cut_short: NDArray[np.bool_],
-        infos: Info,
-        own: Collection[str],
-        rows: list[Info],
-    ) -> None:
-        """Put the last info of each episode that has ended into `rows`, the next one's aside.
-
-        `cut_short` says for every environment whether by a limit of time alone; `own` are the keys
-        of the infos that the environment itself gave, and `rows` what all hold for each.
-        """
-        last_rows = _rows(infos["final_info"], self.num_envs)
-        for index in ended:
-            row = rows[index]
-            self.reset_infos[index] = {key: row[key] for key in row if key in own}
-            rows[index] = last_rows[index] | {key: row[key] for key in row if key not in own}
-            rows[index]["TimeLimit.truncated"] = bool(cut_short[index])
-            rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
 
 
 class _OwnInfos(VectorWrapper[Any, Any, Any, Any, Any]):
