@@ -60,3 +60,11 @@ def number(name: str, value: Any) -> float:
     if not math.isfinite(result):
         raise ValueError(f"{name} = {result}: expected a finite number")
     return result
+
+
+def positive(name: str, value: Any, kind: str = "number") -> float:
+    """Give a finite number above 0; `kind` says of what, for the message."""
+    result = number(name, value)
+    if result <= 0:
+        raise ValueError(f"{name} = {result}: expected a positive {kind}")
+    return result

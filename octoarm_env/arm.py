@@ -71,11 +71,14 @@ class ArmState:
         muscles = (none, none) if self.muscles is None else _pair("state.muscles", self.muscles)
         return self.coordinates, self.rates, self.base, *muscles
 
-    def _given(self, name: str) -> tuple[Float, Float, Float, int, tuple[Float, Float]]:
-        """Give what the compiled arm takes; errors speak of `name`."""
-        coordinates, rates, base, longitudinal, transverse = self._arrays()
-        steps = whole_number(f"{name}.steps", self.steps, 0, 2**64 - 1)
-        return coordinates, rates, base, steps, (longitudinal, transverse)
+
+def core_state(name: str, state: Any) -> tuple[Float, Float, Float, int, tuple[Float, Float]]:
+    """Give an `ArmState` as the compiled arm takes it; errors speak of `name`."""
+    if not isinstance(state, ArmState):
+        raise TypeError(f"{name} must be an ArmState, not {type(state).__name__}")
+    coordinates, rates, base, longitudinal, transverse = state._arrays()
+    steps = whole_number(f"{name}.steps", state.steps, 0, 2**64 - 1)
+    return coordinates, rates, base, steps, (longitudinal, transverse)
 
 
 def _pair(name: str, inputs: Any) -> tuple[Any, Any]:
@@ -240,9 +243,7 @@ class Arm:
 
     @state.setter
     def state(self, state: ArmState) -> None:
-        if not isinstance(state, ArmState):
-            raise TypeError(f"state must be an ArmState, not {type(state).__name__}")
-        self._core.set_state(state._given("state"))
+        self._core.set_state(core_state("state", state))
 
     @property
     def muscles(self) -> tuple[Float, Float]:

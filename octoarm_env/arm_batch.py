@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import thread_count, whole_number
-from octoarm_env.arm import Arm, ArmState
+from octoarm_env.arm import Arm, ArmState, core_state
 from octoarm_env.arrays import Float
 
 
@@ -70,11 +70,8 @@ class ArmBatch:
 
     @states.setter
     def states(self, states: Sequence[ArmState]) -> None:
-        for index, state in enumerate(states):
-            if not isinstance(state, ArmState):
-                raise TypeError(f"states[{index}] must be an ArmState, not {type(state).__name__}")
         self._core.set_states(
-            [state._given(f"states[{index}]") for index, state in enumerate(states)]
+            [core_state(f"states[{index}]", state) for index, state in enumerate(states)]
         )
 
     def run(self, angles: ArrayLike, *, stride: int = 1) -> BatchRun:

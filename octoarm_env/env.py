@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 import inspect
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol, SupportsFloat
+from typing import Any, Literal, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from octoarm_env import _core
+from octoarm_env._core import Episode
 from octoarm_env.arguments import generator_seed
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
@@ -23,39 +22,6 @@ from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
 __all__ = ["OctoArmEnv"]
-
-
-class EpisodeCore(Protocol):
-    """What an environment needs of the episode behind it: the compiled one, or one on a server.
-
-    Its methods and properties are what `OctoArmEnv` says of its own; `step` gives lengths, reward,
-    whether the arm failed, and the info. A seed is in [0, 2**64), a saved episode is JSON text.
-    Errors are a ValueError or TypeError that names the argument, its value and what is allowed;
-    nothing is changed then.
-    """
-
-    def seed(self, seed: int) -> None: ...
-    def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]: ...
-    def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]: ...
-    def teacher_action(self) -> Float: ...
-    def save(self) -> str: ...
-    def load(self, state: str) -> None: ...
-    @property
-    def observation_len(self) -> int: ...
-    @property
-    def observation_bounds(self) -> tuple[float, float]: ...
-    @property
-    def action_range(self) -> float: ...
-    @property
-    def amplitude(self) -> float: ...
-    @property
-    def period(self) -> float: ...
-    @property
-    def orbit(self) -> Float: ...
-    @property
-    def joints(self) -> Float: ...
-    @property
-    def positions(self) -> Float: ...
 
 
 class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
@@ -177,6 +143,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012, declared so by gymnasium.Env
+    _core: Episode
 
     def __init__(
         self,
@@ -207,7 +174,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             reward_width,
             action_change_weight,
         )
-        self._core = self._episode(self._settings)
+        self._core = self._new_core()
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}
         modes = self.metadata["render_modes"]
         self._pictures = Pictures(
@@ -358,9 +325,8 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         """What the episodes are made of."""
         return self._settings
 
-    def _episode(self, settings: EpisodeSettings) -> EpisodeCore:
-        """Make the episode behind this environment."""
-        return _core.Episode(settings.text)
+    def _new_core(self) -> Any:
+        return Episode(self._settings.text)
 
     @property
     def _subject(self) -> Subject:
@@ -369,18 +335,3 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     def _show(self, history: History, *, again: bool = False) -> None:
         if self.render_mode == "human":
             self._pictures.show(history, self._subject, again=again)
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_saved"] = state.pop("_core").save()
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        episode = state.pop("_saved")
-        self.__dict__.update(state)
-        self._core = self._episode(self._settings)
-        self._core.load(episode)
-
-    def __copy__(self) -> OctoArmEnv:
-        """Give an independent environment, as deepcopy does: half a copy would share its past."""
-        return copy.deepcopy(self)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -20,7 +21,11 @@ class MadeOnce:
     """An environment keeps the arguments that it was made with.
 
     Its `spec` holds them as JSON can, so that an environment is made again from the text of one.
+    Pickles and copies go on in a core of their own, where this one stands.
     """
+
+    _core: Any
+    """What computes the episodes; saves all that they depend on, and loads it."""
 
     _fixed: ClassVar[frozenset[str]] = frozenset()
     """Names of the arguments. Where a class below declares one of them, it may be set."""
@@ -36,6 +41,10 @@ class MadeOnce:
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         self._spec = spec and self._kept(spec)
+
+    def _new_core(self) -> Any:
+        """Make the core from the arguments."""
+        raise NotImplementedError
 
     def _kept(self, spec: EnvSpec) -> EnvSpec:
         """Give the spec that is kept of a given one."""
@@ -57,6 +66,19 @@ class MadeOnce:
                 )
             if name in vars(kind):
                 return
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_core": self._core.save()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        episodes = state.pop("_core")
+        self.__dict__.update(state)
+        self._core = self._new_core()
+        self._core.load(episodes)
+
+    def __copy__(self) -> Self:
+        """Do as deepcopy does: half a copy would share seeds and past."""
+        return copy.deepcopy(self)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Literal
 
 from octoarm_env import _core
-from octoarm_env.arguments import number, whole_number
+from octoarm_env.arguments import positive, whole_number
 from octoarm_env.arrays import Float
 
 TargetName = Literal["quadratic", "van_der_pol", "lissajous"]
@@ -51,7 +51,8 @@ class LimitCycle:
             MemoryError: so many steps do not fit into memory.
         """
         steps = whole_number("steps", steps, 1, 2**63 - 1)
-        return _core.limit_cycle_signal(self.name, _positive(amplitude), steps)
+        amplitude = positive("amplitude", amplitude, "number of degrees")
+        return _core.limit_cycle_signal(self.name, amplitude, steps)
 
     def orbit(self, amplitude: float) -> Float:
         """Give one turn of the settled cycle at equal intervals of time.
@@ -62,19 +63,13 @@ class LimitCycle:
         Returns:
             (K, 2) [degrees], K = 2048; the curve closes from the last row to the first.
         """
-        return _core.limit_cycle_orbit(self.name, _positive(amplitude))[0]
+        amplitude = positive("amplitude", amplitude, "number of degrees")
+        return _core.limit_cycle_orbit(self.name, amplitude)[0]
 
     @property
     def period(self) -> float:
         """Time of one turn of the settled cycle [s]."""
         return _core.limit_cycle_orbit(self.name, 1.0)[1]
-
-
-def _positive(amplitude: Any) -> float:
-    value = number("amplitude", amplitude)
-    if value <= 0:
-        raise ValueError(f"amplitude = {value}: expected a positive number of degrees")
-    return value
 
 
 LIMIT_CYCLES: dict[str, LimitCycle] = {name: LimitCycle(name) for name in TARGET_NAMES}

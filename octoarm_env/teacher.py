@@ -24,7 +24,7 @@ class TeacherPolicy:
     def __init__(self, env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> None:
         self._env = env
         vector = isinstance(env, gym.vector.VectorEnv)
-        if not vector and not hasattr(env.unwrapped, "teacher_action"):
+        if not (vector or hasattr(env.unwrapped, "teacher_action")):
             raise TypeError(f"env must be an OctoArm-v0 environment, not {env.unwrapped}")
 
     def predict(
@@ -40,8 +40,7 @@ class TeacherPolicy:
             The action, (2,) or (num_envs, 2) float32 in [-1, 1], and the state unchanged.
         """
         del observation, episode_start, deterministic
-        if isinstance(self._env, gym.vector.VectorEnv):
-            actions = np.asarray(self._env.unwrapped.call("teacher_action"), dtype=np.float32)  # type: ignore[attr-defined]
-            return actions, state
-        action = self._env.unwrapped.teacher_action()  # type: ignore[attr-defined]
-        return np.asarray(action, dtype=np.float32), state
+        env: Any = self._env.unwrapped
+        vector = isinstance(env, gym.vector.VectorEnv)
+        actions = env.call("teacher_action") if vector else env.teacher_action()
+        return np.asarray(actions, dtype=np.float32), state

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -18,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_differing_spaces, batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from octoarm_env import _core
+from octoarm_env._core import EpisodeBatch
 from octoarm_env.arguments import generator_seed, thread_count, whole_number
 from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
@@ -46,9 +45,7 @@ class VectorSnapshot:
 
     episodes: str = dataclasses.field(repr=False)
     seeds: tuple[int | None, ...]
-    past: tuple[BatchHistory, Flags] | None = dataclasses.field(
-        default=None, repr=False, compare=False
-    )
+    past: BatchHistory | None = dataclasses.field(default=None, repr=False, compare=False)
     generator: np.random.Generator | None = dataclasses.field(
         default=None, repr=False, compare=False
     )
@@ -95,6 +92,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
     """
 
     metadata: dict[str, Any]
+    _core: EpisodeBatch
 
     def __init__(
         self,
@@ -146,13 +144,11 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         # The same text for the same settings: it is read once.
         texts = [each.text for each in settings]
         self._arguments = (texts, max_episode_steps, mode.name.lower(), thread_count(threads))
-        self._core = _core.EpisodeBatch(*self._arguments)
+        self._core = self._new_core()
         self.metadata["render_fps"] = render_fps(control_period)
         modes = self.metadata["render_modes"]
         self._pictures = Pictures(settings, render_mode, modes, width, height, camera, overlay)
-        self._control_period = control_period
         self._history = None if render_mode is None else BatchHistory(control_period, self.num_envs)
-        self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._attributes: dict[str, list[Any]] = {}
 
@@ -174,6 +170,9 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
 
     _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
     _remedy = 'gym.make_vec("OctoArm-v0", ..., {}=...)'
+
+    def _new_core(self) -> EpisodeBatch:
+        return EpisodeBatch(*self._arguments)
 
     def _kept(self, spec: EnvSpec) -> EnvSpec:
         # The limit is an argument here, and no wrapper's.
@@ -203,21 +202,17 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         phase = phase_option(options, "reset_mask")
         mask = self._mask(options)
         seeds = self._given_seeds(seed)
-        for index, (given, present) in enumerate(zip(seeds, self._seeds, strict=True)):
-            if given is None and present is None and (mask is None or mask[index]):
+        begun = np.flatnonzero(mask).tolist()
+        for index in begun:
+            if seeds[index] is None and self._seeds[index] is None:
                 seeds[index] = int(self.np_random.integers(2**63))
-        result = self._core.reset(
-            None if mask is None else mask.tolist(),
-            [None if given is None else generator_seed(given) for given in seeds],
-            phase,
-        )
-        for index, given in enumerate(seeds):
-            if given is not None and (mask is None or mask[index]):
-                self._seeds[index] = given
+        given = [None if each is None else generator_seed(each) for each in seeds]
+        result = self._core.reset(mask.tolist(), given, phase)
+        for index in begun:
+            if seeds[index] is not None:
+                self._seeds[index] = seeds[index]
         if self._history is not None:
-            begun = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
-            self._history.begin(begun, result[1])
-            self._over = self._over & ~begun
+            self._history.begin(mask, result[1])
         return result
 
     def step(
@@ -238,23 +233,19 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
                 number in [-1, 1], a step before `reset`, or, in DISABLED mode, after the end of an
                 episode; nothing is changed then.
         """
-        result = self._core.step(actions)
-        if self._history is not None:
-            _, rewards, terminated, truncated, infos = result
-            over = terminated | truncated
-            begun = {
-                AutoresetMode.NEXT_STEP: self._over,
-                AutoresetMode.SAME_STEP: over,
-                AutoresetMode.DISABLED: np.zeros_like(over),
-            }[self.autoreset_mode]
-            self._history.add(infos, rewards, begun)
-            self._over = over
+        if self._history is None:
+            return self._core.step(actions)
+        begun = np.array(self._core.ended)
+        result = _, rewards, terminated, truncated, infos = self._core.step(actions)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            begun = terminated | truncated
+        self._history.add(infos, rewards, begun)
         return result
 
     def snapshot(self) -> VectorSnapshot:
         """Save the whole batch, to go on from here later."""
-        past = None if self._history is None else (copy.deepcopy(self._history), self._over.copy())
         generator = copy.deepcopy(self.np_random) if None in self._seeds else None
+        past = copy.deepcopy(self._history)
         return VectorSnapshot(self._core.save(), tuple(self._seeds), past, generator)
 
     def restore(self, snapshot: VectorSnapshot) -> None:
@@ -271,8 +262,11 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         self._seeds = list(snapshot.seeds)
         if snapshot.generator is not None:
             self._np_random = copy.deepcopy(snapshot.generator)
-        if self._history is not None:
-            self._history, self._over = copy.deepcopy(snapshot.past) or self._no_past()
+        if self._history is not None and snapshot.past is not None:
+            self._history = copy.deepcopy(snapshot.past)
+        elif self._history is not None:
+            # A past that begins now.
+            self._history.begin(np.ones(self.num_envs, dtype=np.bool_), self._core.infos())
 
     def teacher_actions(self) -> Float:
         """Give the lead-compensated clocks' actions now, (N, 2); they depend on the time alone."""
@@ -408,28 +402,21 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             warn_without_mode()
             return None
 
-        def task(index: int) -> tuple[Float, float]:
-            return self._core.orbit_tables[index], self._core.action_ranges[index].item()
-
         return tuple(
-            self._pictures.frame(
-                index,
-                self._history.of(index),
-                Subject(self._core.joints(index), functools.partial(task, index)),
-            )
+            self._pictures.frame(index, self._history.of(index), self._subject(index))
             for index in indices
         )
 
-    def _no_past(self) -> tuple[BatchHistory, Flags]:
-        """A past that begins now, and which episodes have ended."""
-        history = BatchHistory(self._control_period, self.num_envs)
-        every = np.ones(self.num_envs, dtype=np.bool_)
-        history.begin(every, self._core.infos())
-        return history, np.array(self._core.ended)
+    def _subject(self, index: int) -> Subject:
+        core = self._core
+        return Subject(
+            core.joints(index), lambda: (core.orbit_tables[index], core.action_ranges[index].item())
+        )
 
-    def _mask(self, options: dict[str, Any] | None) -> Flags | None:
+    def _mask(self, options: dict[str, Any] | None) -> Flags:
+        """Which environments are to be reset."""
         if not options or "reset_mask" not in options:
-            return None
+            return np.ones(self.num_envs, dtype=np.bool_)
         mask, name = options["reset_mask"], "options['reset_mask']"
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
             found = f"dtype {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
@@ -453,20 +440,6 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             for index, each in enumerate(seed)
         ]
 
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_core"] = state["_core"].save()
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._core = _core.EpisodeBatch(*self._arguments)
-        self._core.load(state["_core"])
-
-    def __copy__(self) -> OctoArmVectorEnv:
-        """Give an independent batch, as deepcopy does: half a copy would share seeds and past."""
-        return copy.deepcopy(self)
-
 
 def _is_sequence(value: Any) -> bool:
     if isinstance(value, np.ndarray):
@@ -474,26 +447,14 @@ def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _is_list_of_targets(target: Any) -> bool:
-    """Whether this is a sequence of targets; a (T, 2) nesting of numbers is one target."""
-    return (
-        _is_sequence(target)
-        and not isinstance(target, np.ndarray)
-        and any(isinstance(each, str) or np.ndim(each) == 2 for each in target)
-    )
-
-
-_SEVERAL: dict[str, Callable[[Any], bool]] = {
-    "target": _is_list_of_targets,
-    "amplitude": _is_sequence,
-    "arm": _is_sequence,
-}
-"""Arguments that may be one an environment, and whether a value is."""
-
-
 def _per_env(name: str, value: Any, count: int) -> list[Any]:
     """One value an environment."""
-    if name not in _SEVERAL or not _SEVERAL[name](value):
+    several = name in ("target", "amplitude", "arm") and _is_sequence(value)
+    if several and name == "target":
+        # An array, or another (T, 2) nesting of numbers, is one target.
+        targets = [] if isinstance(value, np.ndarray) else value
+        several = any(isinstance(each, str) or np.ndim(each) == 2 for each in targets)
+    if not several:
         return [value] * count
     if len(value) != count:
         raise ValueError(f"{name} has {len(value)} entries, expected one or {count} (num_envs)")

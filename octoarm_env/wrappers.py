@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -10,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from octoarm_env.arguments import positive
 from octoarm_env.arrays import Float32
 
 __all__ = ["Strain", "VectorStrain"]
@@ -53,7 +53,7 @@ class Strain(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorA
     def __init__(self, env: Env, scale: float = 100.0) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, scale=scale)
         gym.ObservationWrapper.__init__(self, env)
-        self._scale = _checked(scale)
+        self._scale = positive("scale", scale)
         self._rest = _rest_length(env.observation_space)
         self.observation_space = _strains(env.observation_space, self._scale)
 
@@ -76,7 +76,7 @@ class VectorStrain(_VectorWrapper):
 
     def __init__(self, env: VectorEnv, scale: float = 100.0) -> None:
         super().__init__(env)
-        self._scale = _checked(scale)
+        self._scale = positive("scale", scale)
         self._rest = _rest_length(env.observation_space)
         self.single_observation_space = _strains(env.single_observation_space, self._scale)
         self.observation_space = gym.vector.utils.batch_space(
@@ -123,9 +123,3 @@ def _rest_length(lengths: gym.Space[Any]) -> NDArray[np.float64]:
     if not np.isclose(lengths.high, 60 * lengths.low, rtol=1e-9, atol=0).all():
         raise TypeError(f"env has observations {lengths}, expected spring lengths in metres")
     return np.asarray(lengths.high, dtype=np.float64) / _LONGEST
-
-
-def _checked(scale: float) -> float:
-    if not (math.isfinite(scale) and scale > 0):
-        raise ValueError(f"scale = {scale}: expected a positive number")
-    return float(scale)

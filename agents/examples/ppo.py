@@ -69,14 +69,11 @@ def make_envs(count: int, target: str, episode_steps: int = 500, threads: int = 
 class Moments(nn.Module):
     """Mean and variance of all that has been seen so far, in double precision."""
 
-    mean: Tensor
-    var: Tensor
-    count: Tensor
-
     def __init__(self, *shape: int) -> None:
         super().__init__()
-        for name, size in (("mean", shape), ("var", shape), ("count", ())):
-            self.register_buffer(name, torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(shape, dtype=torch.float64))
+        self.register_buffer("var", torch.zeros(shape, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def update(self, batch: Tensor) -> None:
         """Take in a batch, one sample a row (Chan et al.'s parallel update)."""
@@ -127,37 +124,13 @@ class Agent(nn.Module):
         return self.critic(normalized).squeeze(-1)
 
 
-def gae(
-    rewards: Tensor,
-    values: Tensor,
-    next_values: Tensor,
-    terminated: Tensor,
-    ended: Tensor,
-    gamma: float,
-    lam: float,
-) -> Tensor:
-    """Estimate advantages (generalised advantage estimation), all arguments being (T, N).
-
-    Args:
-        rewards: of each step.
-        values: of the observation before the step.
-        next_values: of the observation after it, in the same episode even where that ends.
-        terminated: 1 where nothing is to be earned after the step, so that `next_values` is void.
-        ended: 1 where the episode ended, terminated or truncated: the next row is another one's.
-        gamma: discount factor.
-        lam: 0 trusts the values, 1 the rewards.
-    """
-    deltas = rewards + gamma * (1 - terminated) * next_values - values
-    carry = gamma * lam * (1 - ended)
-    advantages, following = torch.zeros_like(deltas), torch.zeros_like(deltas[0])
-    for t in reversed(range(len(deltas))):
-        following = deltas[t] + carry[t] * following
-        advantages[t] = following
-    return advantages
-
-
 class Rollout(NamedTuple):
-    """What `Collector.collect` has seen, (T, N, ...); observations normalised, rewards scaled."""
+    """What `Collector.collect` has seen, (T, N, ...); observations normalised, rewards scaled.
+
+    A next observation is of the same episode even where that ends. `terminated` is 1 where nothing
+    is to be earned after the step, `ended` also where the time limit cut the episode: the next row
+    is another one's.
+    """
 
     observations: Tensor
     next_observations: Tensor
@@ -165,6 +138,25 @@ class Rollout(NamedTuple):
     rewards: Tensor
     terminated: Tensor
     ended: Tensor
+
+
+def gae(rollout: Rollout, values: Tensor, next_values: Tensor, gamma: float, lam: float) -> Tensor:
+    """Estimate the advantage of every step (generalised advantage estimation), (T, N).
+
+    Args:
+        rollout: what was earned, and where episodes ended.
+        values: of the observations, (T, N).
+        next_values: of the next observations, (T, N).
+        gamma: discount factor.
+        lam: 0 trusts the values, 1 the rewards.
+    """
+    deltas = rollout.rewards + gamma * (1 - rollout.terminated) * next_values - values
+    carry = gamma * lam * (1 - rollout.ended)
+    advantages, following = torch.zeros_like(deltas), torch.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        following = deltas[t] + carry[t] * following
+        advantages[t] = following
+    return advantages
 
 
 class Collector:
@@ -184,9 +176,8 @@ class Collector:
         rows = []
         for _ in range(self.args.num_steps):
             action = self.agent.policy(self.observation).sample()
-            following, rewards, terminated, truncated, infos = self.envs.step(
-                action.clamp(-1.0, 1.0).numpy()
-            )
+            clamped = action.clamp(-1.0, 1.0).numpy()
+            following, rewards, terminated, truncated, infos = self.envs.step(clamped)
             next_observation = self._normalize(following)
             # An episode cut short by the time limit would have gone on: its last step is worth
             # its reward and the value of where it led. That is `final_obs`; `following` is the
@@ -223,15 +214,8 @@ def update(
     """Improve policy and value function by what has been collected; return figures to log."""
     with torch.no_grad():
         values = agent.value(rollout.observations)
-        advantages = gae(
-            rollout.rewards,
-            values,
-            agent.value(rollout.next_observations),
-            rollout.terminated,
-            rollout.ended,
-            args.gamma,
-            args.gae_lambda,
-        )
+        next_values = agent.value(rollout.next_observations)
+        advantages = gae(rollout, values, next_values, args.gamma, args.gae_lambda)
         log_probs = agent.policy(rollout.observations).log_prob(rollout.actions).sum(-1)
         columns = (rollout.observations, rollout.actions, log_probs, advantages, values)
     observations, actions, old_log_probs, advantages, values = (
@@ -295,10 +279,8 @@ def train(args: argparse.Namespace) -> Agent:
         # Of the last 100 episodes; none has ended in the very first steps.
         earned = np.mean(collector.returns) if collector.returns else math.nan
         if done % UPDATES_PER_LINE == 0 or done == updates:
-            reward = earned / args.episode_steps
-            print(
-                f"{steps:>9,} steps  reward {reward:.3f} a step  {speed:7,.0f} steps/s", flush=True
-            )
+            reward = f"reward {earned / args.episode_steps:.3f} a step"
+            print(f"{steps:>9,} steps  {reward}  {speed:7,.0f} steps/s", flush=True)
         if writer:
             scalars = losses | {"learning_rate": learning_rate, "return": earned, "speed": speed}
             for name, value in scalars.items():
@@ -312,7 +294,7 @@ def train(args: argparse.Namespace) -> Agent:
 
 def save(path: Path, agent: Agent, args: argparse.Namespace) -> None:
     """Write weights, observation statistics and arguments. The file appears whole or not at all."""
-    plain = {name: str(v) if isinstance(v, Path) else v for name, v in vars(args).items()}
+    plain = vars(args) | {"out": str(path)}
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         torch.save({"agent": agent.state_dict(), "arguments": plain}, temporary)
@@ -375,9 +357,7 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     if args.out and (args.out.is_dir() or not args.out.parent.is_dir()):
         parser.error(f"argument --out: '{args.out}': expected a file in a folder that exists")
     if args.tensorboard and not importlib.util.find_spec("tensorboard"):
-        parser.error(
-            "argument --tensorboard: needs the package tensorboard, which is not installed"
-        )
+        parser.error("argument --tensorboard: the package tensorboard is not installed")
     return args
 
 

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import grpc
 
-from octoarm_env.arguments import number
+from octoarm_env.arguments import positive
 from octoarm_env.remote.messages import (
     EnvironmentRequest,
     EnvironmentResponse,
@@ -95,9 +95,7 @@ class Connection:
         timeout: float = 10.0,
     ) -> None:
         host, port, encrypted = _parse(address, certificate)
-        timeout = number("timeout", timeout)
-        if timeout <= 0.0:
-            raise ValueError(f"timeout = {timeout}: expected a positive time [s]")
+        timeout = positive("timeout", timeout, "time [s]")
         if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
             # Which is not shown.
             raise ValueError("token: expected a text of printable ASCII characters without spaces")

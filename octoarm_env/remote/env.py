@@ -26,12 +26,14 @@ _OBSERVED = ("spring_lengths", "reward", *_INFO, "failure")
 
 
 class RemoteEpisode:
-    """An episode in a world of its own on a server."""
+    """An episode in a world of its own on a server, with the methods of the compiled `Episode`.
+
+    A seed is in [0, 2**64), a saved episode is JSON text. Errors are a ValueError or TypeError that
+    names the argument, its value and what is allowed; nothing is changed then.
+    """
 
     def __init__(self, connection: Connection, settings: EpisodeSettings) -> None:
-        self._connection = connection
-        self.lock = connection.lock
-        self.settings = settings
+        self.connection = connection
         world: dict[str, Any] = {"max_episode_steps": -1}  # it does not end by itself
         for name, value in settings.to_dict().items():
             if isinstance(value, dict):
@@ -47,15 +49,8 @@ class RemoteEpisode:
         self.observation_bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
         self._running = False
 
-    def is_lost(self) -> bool:
-        """Tell whether the world is gone with its stream, though nobody closed it."""
-        return self._connection.is_lost()
-
-    def close(self) -> None:
-        self._connection.close()
-
     def seed(self, seed: int) -> None:
-        self._connection.exchange(lambda: self._connection.write("seed", seed))
+        self.connection.exchange(lambda: self.connection.write("seed", seed))
 
     def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]:
         request = EnvironmentRequest()
@@ -64,14 +59,14 @@ class RemoteEpisode:
             pack(request.reset.settings["phase"], phase)
 
         def work() -> tuple[Float, dict[str, Any]]:
-            self._connection.post(request)
+            self.connection.post(request)
             # A refused reset changes nothing, so nothing may follow it.
-            self._connection.answer("reset")
-            self._connection.post(self._step_request())
+            self.connection.answer("reset")
+            self.connection.post(self._step_request())
             lengths, _, _, info = self._answer()
             return lengths, info
 
-        return self._connection.exchange(work)
+        return self.connection.exchange(work)
 
     def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]:
         def work() -> tuple[Float, float, bool, dict[str, Any]]:
@@ -80,10 +75,10 @@ class RemoteEpisode:
             tensor = request.step.actions[self._action]
             tensor.doubles.array.extend(checked.tolist())
             tensor.shape.append(2)
-            self._connection.post(request)
+            self.connection.post(request)
             return self._answer()
 
-        return self._connection.exchange(work)
+        return self.connection.exchange(work)
 
     def _step_request(self) -> Any:
         request = EnvironmentRequest()
@@ -91,7 +86,7 @@ class RemoteEpisode:
         return request
 
     def _answer(self) -> tuple[Float, float, bool, dict[str, Any]]:
-        step = self._connection.answer("step")
+        step = self.connection.answer("step")
         found = step.observations
         self._running = step.state == _RUNNING
         terminated = step.state == _TERMINATED
@@ -112,13 +107,13 @@ class RemoteEpisode:
 
     def load(self, state: str) -> None:
         def work() -> None:
-            self._connection.write("state", state)
+            self.connection.write("state", state)
             self._running = bool(json.loads(state)["running"])
 
-        self._connection.exchange(work)
+        self.connection.exchange(work)
 
     def _read(self, key: str) -> Any:
-        return self._connection.exchange(lambda: self._connection.read(key))
+        return self.connection.exchange(lambda: self.connection.read(key))
 
     def _table(self, key: str) -> Float:
         return np.asarray(self._read(key), np.float64)
@@ -198,12 +193,13 @@ class RemoteOctoArm(OctoArmEnv):
 
     _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
     _remedy = 'gym.make("OctoArmRemote-v0", {}=...)'
+    _core: RemoteEpisode  # type: ignore[assignment]  # it does what the compiled one does
 
-    def _episode(self, settings: EpisodeSettings) -> RemoteEpisode:
+    def _new_core(self) -> RemoteEpisode:
         address, token, certificate, timeout = self._server
         connection = Connection(address, token=token, certificate=certificate, timeout=timeout)
         try:
-            return RemoteEpisode(connection, settings)
+            return RemoteEpisode(connection, self._settings)
         except BaseException:
             connection.close()
             raise
@@ -217,16 +213,13 @@ class RemoteOctoArm(OctoArmEnv):
         `np_random` then seeds its phases, as at the first reset.
         """
         core = self._core
-        assert isinstance(core, RemoteEpisode)
-        with core.lock:
-            if core is self._core and core.is_lost():
-                self._core = self._episode(core.settings)
+        with core.connection.lock:
+            if core is self._core and core.connection.is_lost():
+                self._core = self._new_core()
                 self._seeded = False
         return super().reset(seed=seed, options=options)
 
     def close(self) -> None:
         """Close the window, if there is one, and the stream; the server frees the world."""
         super().close()
-        core = self._core
-        assert isinstance(core, RemoteEpisode)
-        core.close()
+        self._core.connection.close()

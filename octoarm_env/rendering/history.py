@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,10 @@ class BatchHistory:
     def __init__(self, control_period: float, count: int) -> None:
         self._period = control_period
         self._bases: deque[Float] = deque(maxlen=_length(control_period))
-        self._steps, self._totals = np.zeros(count, dtype=np.int64), np.zeros(count)
-        self._targets, self._errors = np.zeros((count, 2)), np.zeros(count)
-        self._began = np.zeros(count, dtype=np.bool_)
-        self._failures: dict[int, str] = {}
+        self._steps = np.full(count, -1)  # before the first episode
+        self._totals, self._errors = np.zeros((2, count))
+        self._targets = np.zeros((count, 2))
+        self._failures = np.full(count, "", dtype=np.object_)
 
     def begin(self, mask: Flags, infos: Mapping[str, Any]) -> None:
         """Episodes have begun with these infos, where the mask (N,) is True."""
@@ -102,7 +103,6 @@ class BatchHistory:
         self._targets = np.where(mask[:, np.newaxis], infos["target"], self._targets)
         self._errors = np.where(mask, infos["tracking_error"], self._errors)
         self._forget(mask)
-        self._began = self._began | mask
 
     def add(self, infos: Mapping[str, Any], rewards: Float, begun: Flags) -> None:
         """A step brought these infos and rewards; where `begun` is True it began an episode."""
@@ -110,28 +110,22 @@ class BatchHistory:
         self._targets, self._errors = infos["target"].copy(), infos["tracking_error"].copy()
         self._steps += 1
         self._totals += rewards
-        if begun.any():
-            self._forget(begun)
+        self._forget(begun)
         if "failure" in infos:
-            for index in np.flatnonzero(infos["_failure"]).tolist():
-                self._failures[index] = str(infos["failure"][index])
+            failed = infos["_failure"]
+            self._failures[failed] = infos["failure"][failed]
 
     def of(self, index: int) -> History:
         """Give the past of one environment."""
         history = History(self._period)
-        if not self._began[index]:
-            return history
         history.steps = int(self._steps[index])
         history.total = float(self._totals[index])
         history.target = self._targets[index].copy()
         history.tracking_error = float(self._errors[index])
-        history.failure = self._failures.get(index, "")
-        late = min(history.steps + 1, len(self._bases))
-        for age in range(late - 1, -1, -1):
-            history._trace.append(self._bases[-1 - age][index].copy())
+        history.failure = self._failures[index]
+        first = max(len(self._bases) - history.steps - 1, 0)
+        history._trace.extend(bases[index].copy() for bases in islice(self._bases, first, None))
         return history
 
     def _forget(self, mask: Flags) -> None:
-        self._steps[mask], self._totals[mask] = 0, 0.0
-        for index in [index for index in self._failures if mask[index]]:
-            del self._failures[index]
+        self._steps[mask], self._totals[mask], self._failures[mask] = 0, 0.0, ""

@@ -147,9 +147,12 @@ class Panels:
         return self._fonts[pixels]
 
     def _panel(self, canvas: pygame.Surface, x: float, y: float, wide: float, high: float) -> None:
-        fine = self._fine
-        shade = _shade(round(wide * fine), round(high * fine), round(6 * fine))
-        canvas.blit(shade, (round(x * fine), round(y * fine)))
+        place = self._on_canvas(x, y, wide, high)
+        canvas.blit(_shade(*place.size, round(6 * self._fine)), place)
+
+    def _on_canvas(self, x: float, y: float, wide: float, high: float) -> pygame.Rect:
+        """Give where a rectangle of the picture lies on the canvas."""
+        return pygame.Rect(*(round(each * self._fine) for each in (x, y, wide, high)))
 
     def _portrait(self, canvas: pygame.Surface, history: History) -> list[Label]:
         """θ to the right, φ upwards: orbit, late trace, base and target now."""
@@ -160,16 +163,10 @@ class Panels:
         middle = np.array([left + side / 2, top + side / 2]) * fine
         scale = (side / 2 - 10 * unit) / self._reach * fine * np.array([1.0, -1.0])
         thin = max(1, round(unit * fine))
-        frame = pygame.Rect(
-            round(left * fine), round(top * fine), round(side * fine), round(side * fine)
-        )
         clip = canvas.get_clip()
-        canvas.set_clip(frame)
-        for axis in range(2):
-            arm = np.zeros(2)
-            arm[axis] = self._reach
-            begin, end = (middle - arm * scale).tolist(), (middle + arm * scale).tolist()
-            pygame.draw.line(canvas, _AXIS, begin, end, thin)
+        canvas.set_clip(self._on_canvas(left, top, side, side))
+        for arm in self._reach * np.eye(2) * scale:
+            pygame.draw.line(canvas, _AXIS, (middle - arm).tolist(), (middle + arm).tolist(), thin)
         pygame.draw.lines(canvas, ORBIT, False, (self._orbit * scale + middle).tolist(), thin)
         trace = history.trace
         step = max(1, len(trace) // _TRACE_POINTS)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from octoarm_env.arguments import whole_number
 
 
 def tile_images(
@@ -43,11 +44,8 @@ def tile_images(
     height, width, _ = frames[0].shape
     if columns is None:
         columns = max(1, round(math.sqrt(len(frames) * height / width)))
-    if operator.index(columns) < 1:
-        raise ValueError(f"columns = {columns}: expected at least 1")
-    if operator.index(gap) < 0:
-        raise ValueError(f"gap = {gap}: expected 0 or more pixels")
-    columns = min(columns, len(frames))
+    columns = min(whole_number("columns", columns, 1), len(frames))
+    gap = whole_number("gap", gap, 0)
     rows = -(-len(frames) // columns)
     whole = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.uint8)
     for index, frame in enumerate(frames):

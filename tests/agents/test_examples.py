@@ -134,7 +134,8 @@ def test_gae_is_the_plain_sum(lam: float) -> None:
                 expected[start, env] += (gamma * lam) ** (t - start) * error
                 if ended[t, env]:
                     break
-    found = ppo.gae(rewards, values, next_values, terminated, ended, gamma, lam)
+    rollout = ppo.Rollout(None, None, None, rewards, terminated, ended)
+    found = ppo.gae(rollout, values, next_values, gamma, lam)
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)
 
 

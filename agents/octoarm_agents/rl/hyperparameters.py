@@ -13,7 +13,7 @@ import copy
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import yaml
 from sb3_contrib import TQC, RecurrentPPO
@@ -22,9 +22,9 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from octoarm_agents.common.environment import ENV_ID
 
-Algorithm = Literal["ppo", "sac", "tqc", "recurrent_ppo"]
+_CLASSES = {"ppo": PPO, "sac": SAC, "tqc": TQC, "recurrent_ppo": RecurrentPPO}
 
-ALGORITHMS: tuple[Algorithm, ...] = get_args(Algorithm)
+ALGORITHMS = tuple(_CLASSES)
 """Those that `octoarm train` knows."""
 
 
@@ -36,7 +36,7 @@ def algorithm_class(algorithm: str) -> Any:
     """
     if algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm = {algorithm!r}: expected one of {ALGORITHMS}")
-    return {"ppo": PPO, "sac": SAC, "tqc": TQC, "recurrent_ppo": RecurrentPPO}[algorithm]
+    return _CLASSES[algorithm]
 
 
 def hyperparameter_file(algorithm: str) -> Path:

@@ -10,7 +10,7 @@ environment as stable-baselines3's own `DummyVecEnv` would have it, bit by bit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 from warnings import warn
@@ -19,22 +19,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 import octoarm_env  # noqa: F401, registers the environment
-
-try:
-    from stable_baselines3.common.env_util import is_wrapped
-    from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import (
-        VecEnvIndices,
-        VecEnvObs,
-        VecEnvStepReturn,
-    )
-except ImportError as error:
-    raise ImportError(
-        'octoarm_agents.rl needs stable-baselines3: pip install "octoarm-agents[rl]"'
-    ) from error
-
 
 Info = dict[str, Any]
 
@@ -130,7 +119,14 @@ class Sb3VecEnv(VecEnv):
         rows = _rows(current, self.num_envs, {"TimeLimit.truncated": False})
         if ended:
             own = infos.keys() if self._own is None else self._own.keys
-            self._end_episodes(ended, truncated & ~terminated, infos, own, rows)
+            last_rows = _rows(infos["final_info"], self.num_envs)
+            for index in ended:
+                # What wrappers add belongs to the episode that has ended, the rest to the next one.
+                row = rows[index]
+                self.reset_infos[index] = {key: row[key] for key in row if key in own}
+                rows[index] = last_rows[index] | {key: row[key] for key in row if key not in own}
+                rows[index]["TimeLimit.truncated"] = bool(truncated[index] & ~terminated[index])
+                rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
         return deepcopy(observations), rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
@@ -240,27 +236,6 @@ class Sb3VecEnv(VecEnv):
         """The single environments, where the vector environment has any."""
         return getattr(self._innermost, "envs", None)
 
-    def _end_episodes(
-        self,
-        ended: list[int],
-        cut_short: NDArray[np.bool_],
-        infos: Info,
-        own: Collection[str],
-        rows: list[Info],
-    ) -> None:
-        """Put the last info of each episode that has ended into `rows`, the next one's aside.
-
-        `cut_short` says for every environment whether by a limit of time alone; `own` are the keys
-        of the infos that the environment itself gave, and `rows` what all hold for each.
-        """
-        last_rows = _rows(infos["final_info"], self.num_envs)
-        for index in ended:
-            row = rows[index]
-            self.reset_infos[index] = {key: row[key] for key in row if key in own}
-            rows[index] = last_rows[index] | {key: row[key] for key in row if key not in own}
-            rows[index]["TimeLimit.truncated"] = bool(cut_short[index])
-            rows[index]["terminal_observation"] = deepcopy(infos["final_obs"][index])
-
 
 class _OwnInfos(VectorWrapper[Any, Any, Any, Any, Any]):
     """Notes the keys of the infos of a step before wrappers further out add theirs."""
@@ -280,7 +255,6 @@ def _put_below_wrappers(envs: VectorEnv[Any, Any, Any]) -> _OwnInfos | None:
         ValueError: a wrapper turns the infos or arrays into something else.
     """
     layer = envs
-    below = None
     while isinstance(layer, VectorWrapper):
         if _CONVERTERS & {each.__name__ for each in type(layer).__mro__}:
             raise ValueError(
@@ -289,9 +263,9 @@ def _put_below_wrappers(envs: VectorEnv[Any, Any, Any]) -> _OwnInfos | None:
             )
         if not isinstance(layer.env, VectorWrapper):
             below = layer.env = _OwnInfos(layer.env)
-            break
+            return below
         layer = layer.env
-    return below
+    return None
 
 
 def make_sb3_vec_env(num_envs: int, *, seed: int | None = None, **kwargs: Any) -> Sb3VecEnv:

@@ -6,6 +6,7 @@ import json
 import random
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,9 @@ from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
 
 JUDGED_STEPS = 500
 """Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
+
+_PACKAGES = ("octoarm-env", "octoarm-agents", "stable-baselines3", "sb3-contrib", "torch", "numpy")
+"""Their versions are written down."""
 
 Progress = Callable[[int, float], None]
 
@@ -159,16 +163,12 @@ def train(
         if extended:
             _extend(saved, training)
     # Sums that threads share are rounded otherwise, and networks so small gain nothing by them.
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with ExitStack() as stack:
+        stack.callback(torch.set_num_threads, torch.get_num_threads())
+        torch.set_num_threads(1)
         run = _Run(training, out, progress, command)
-        try:
-            return run.run(saved, tensorboard)
-        finally:
-            run.envs.close()
-    finally:
-        torch.set_num_threads(threads)
+        stack.callback(run.arms.close)
+        return run.run(saved, tensorboard)
 
 
 class _Run(BaseCallback):
@@ -218,9 +218,8 @@ class _Run(BaseCallback):
                     **self.hyperparameters.model_arguments(),
                 )
             except TypeError as error:
-                raise ValueError(
-                    f"hyper-parameters of {self.training.algorithm}: {error}"
-                ) from None
+                name = self.training.algorithm
+                raise ValueError(f"hyper-parameters of {name}: {error}") from None
         logs = str(self.out / "tensorboard")
         self.model.set_logger(configure(logs, ["tensorboard"]) if tensorboard else Logger(None, []))
         left = self.training.steps - self.model.num_timesteps
@@ -242,14 +241,7 @@ class _Run(BaseCallback):
             "extended": self.extended,
             "parameters": policy.parameter_count,
             "machine": describe_machine(),
-            "versions": package_versions(
-                "octoarm-env",
-                "octoarm-agents",
-                "stable-baselines3",
-                "sb3-contrib",
-                "torch",
-                "numpy",
-            ),
+            "versions": package_versions(*_PACKAGES),
         }
         write_json(self.out / "training.json", summary)
         self.checkpoint()
