@@ -28,7 +28,7 @@ WHOLE = Comparison(
     targets=("quadratic",),
     seeds=2,
     budget=0.004,
-    plan=TestPlan(episodes=1, steps=120, long_steps=300, after=400),
+    plan=TestPlan(episodes=1, steps=120, long_steps=300, after=250),
     readout_map=0,
 )
 LEFT_OUT = ("readout_ridge", *NETWORKS[1:])
