@@ -39,17 +39,18 @@ def test_ppo_learns(seed: int) -> None:
     model = PPO(
         "MlpPolicy",
         VecNormalize(envs, norm_obs=False, gamma=0.9),
-        n_steps=128,
-        batch_size=256,
+        n_steps=64,
+        n_epochs=5,
+        batch_size=128,
         gamma=0.9,
-        learning_rate=1e-3,
-        clip_range=0.1,
+        learning_rate=2e-3,
+        clip_range=0.3,
         policy_kwargs={"log_std_init": -1.0, "net_arch": [128, 128]},
         seed=seed,
     )
     untrained = mean_return(model)
-    model.learn(20_000)
+    model.learn(8_000)
     trained = mean_return(model)
-    # Of 500; a longer training of seed 0 earns 495 after 50,000 steps.
+    # Of 500; measured: 131 and 80 with seeds 0 and 1.
     assert untrained < 10.0
     assert trained > untrained + 25.0
