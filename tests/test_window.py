@@ -1,5 +1,9 @@
 """The window: its time, its keys, its mouse, its end."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -263,6 +267,27 @@ def test_a_window_that_is_nowhere(make_window, monkeypatch):
     pygame.display.quit()
     monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
     assert make_window().seen
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux lists what is loaded")
+def test_a_window_loads_no_opengl():
+    """With Mesa's comes its LLVM, beside which PyTorch's Triton crashes when it is imported."""
+    script = """
+import gymnasium, octoarm_env
+env = gymnasium.make("OctoArm-v0", render_mode="human", width=160, height=120)
+env.reset(seed=0)
+loaded = open("/proc/self/maps").read()
+print([name for name in ("libGL", "libLLVM") if name in loaded])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={"SDL_VIDEODRIVER": "offscreen"},
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parents[1],
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_one_window_at_a_time(make_window):

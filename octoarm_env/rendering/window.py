@@ -107,6 +107,10 @@ class Window:
             other.closed = True  # pygame has one window at a time: this is it now
         try:
             pygame.display.init()
+            if pygame.display.get_driver() != "wayland":  # which cannot do without
+                # OpenGL would be loaded to copy a picture, and with it its LLVM, beside which
+                # PyTorch's Triton crashes.
+                os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
             self._screen = pygame.display.set_mode(renderer.size, pygame.RESIZABLE)
         except pygame.error as error:
             pygame.display.quit()
