@@ -3,6 +3,7 @@
 from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release
 from octoarm_agents.reservoir.floquet import floquet_exponents
+from octoarm_agents.reservoir.loop_design import LoopModel, design, design_policy
 from octoarm_agents.reservoir.policy import ReadoutPolicy, readout_network, train_policy
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_agents.reservoir.teaching import Taught, Teaching, teach
@@ -10,11 +11,14 @@ from octoarm_agents.reservoir.tuning import Tuned, tune
 
 __all__ = [
     "ClosedLoop",
+    "LoopModel",
     "Readout",
     "ReadoutPolicy",
     "Taught",
     "Teaching",
     "Tuned",
+    "design",
+    "design_policy",
     "floquet_exponents",
     "orbit_distance",
     "readout_network",
