@@ -17,7 +17,7 @@ from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
-from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
+from octoarm_env.rendering.pictures import Pictures, Scene, render_fps, warn_without_mode
 from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
@@ -266,7 +266,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         if self.render_mode == "human":
             self._show(self._history, again=True)
             return None
-        return self._pictures.frame(0, self._history, self._subject)
+        return self._pictures.frame(0, self._history, self._scene)
 
     def close(self) -> None:
         """Close the window, if there is one; the arm could go on."""
@@ -329,9 +329,9 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         return Episode(self._settings.text)
 
     @property
-    def _subject(self) -> Subject:
-        return Subject(self._core.joints, lambda: (self.orbit, self.action_range))
+    def _scene(self) -> Scene:
+        return Scene(self._core.joints, lambda: (self.orbit, self.action_range))
 
     def _show(self, history: History, *, again: bool = False) -> None:
         if self.render_mode == "human":
-            self._pictures.show(history, self._subject, again=again)
+            self._pictures.show(history, self._scene, again=again)

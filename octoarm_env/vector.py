@@ -24,7 +24,7 @@ from octoarm_env.env import OctoArmEnv
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import BatchHistory
-from octoarm_env.rendering.pictures import Pictures, Subject, render_fps, warn_without_mode
+from octoarm_env.rendering.pictures import Pictures, Scene, render_fps, warn_without_mode
 from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
 from octoarm_env.targets import TargetName
 
@@ -403,13 +403,13 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             return None
 
         return tuple(
-            self._pictures.frame(index, self._history.of(index), self._subject(index))
+            self._pictures.frame(index, self._history.of(index), self._scene(index))
             for index in indices
         )
 
-    def _subject(self, index: int) -> Subject:
+    def _scene(self, index: int) -> Scene:
         core = self._core
-        return Subject(
+        return Scene(
             core.joints(index), lambda: (core.orbit_tables[index], core.action_ranges[index].item())
         )
 

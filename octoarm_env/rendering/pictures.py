@@ -18,7 +18,7 @@ from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
-    from octoarm_env.rendering.renderer import Renderer, Sheet
+    from octoarm_env.rendering.renderer import Renderer, Surfaces
     from octoarm_env.rendering.window import Window
     from octoarm_env.settings import EpisodeSettings
 
@@ -41,7 +41,7 @@ def warn_without_mode() -> None:
     )
 
 
-class Subject(NamedTuple):
+class Scene(NamedTuple):
     """What is in a picture.
 
     Attributes:
@@ -81,31 +81,31 @@ class Pictures:
         self._size, self._camera = picture_size(width, height), find_camera(camera)
         self._overlay, self._settings = flag("overlay", overlay), settings
         self._renderers: OrderedDict[str, Renderer] = OrderedDict()
-        self._sheet: Sheet | None = None
+        self._surfaces: Surfaces | None = None
         self._window: Window | None = None
         self._warned = False
 
-    def frame(self, index: int, history: History, subject: Subject) -> NDArray[np.uint8]:
+    def frame(self, index: int, history: History, scene: Scene) -> NDArray[np.uint8]:
         """Give the picture of an environment, (height, width, 3).
 
         Args:
             index: which.
             history: its episode's past.
-            subject: what is to be seen.
+            scene: what is to be seen.
 
         Raises:
             gymnasium.error.ResetNeeded: no episode has begun.
             gymnasium.error.DependencyNotInstalled: there is no pygame.
         """
         _check_begun(history)
-        return self._renderer(index, subject).frame(subject.joints, history)
+        return self._renderer(index, scene).frame(scene.joints, history)
 
-    def show(self, history: History, subject: Subject, *, again: bool = False) -> None:
+    def show(self, history: History, scene: Scene, *, again: bool = False) -> None:
         """Show the first environment in a window, in the time that its steps take.
 
         Args:
             history: its episode's past.
-            subject: what is to be seen.
+            scene: what is to be seen.
             again: show what was shown already, without waiting.
 
         Raises:
@@ -116,7 +116,7 @@ class Pictures:
 
         _check_begun(history)
         if self._window is None or self._window.lost:
-            renderer = self._renderer(0, subject)
+            renderer = self._renderer(0, scene)
             self._window = Window(renderer, "OctoArm-v0", history.control_period)
             if not self._window.seen:
                 # Not a warning, which checkers of environments may take for an error.
@@ -124,7 +124,7 @@ class Pictures:
                     f"The window is nowhere, no display was found. {WITHOUT_DISPLAY}.",
                     file=sys.stderr,
                 )
-        self._window.show(subject.joints, history, again=again)
+        self._window.show(scene.joints, history, again=again)
         if self._window.closed and not self._warned:
             self._warned = True
             gym.logger.warn(
@@ -138,23 +138,23 @@ class Pictures:
             self._window.close()
             self._window = None
         self._renderers.clear()
-        self._sheet = None
+        self._surfaces = None
 
-    def _renderer(self, index: int, subject: Subject) -> Renderer:
-        from octoarm_env.rendering.renderer import Renderer, Sheet
+    def _renderer(self, index: int, scene: Scene) -> Renderer:
+        from octoarm_env.rendering.renderer import Renderer, Surfaces
 
-        self._sheet = self._sheet or Sheet(self._size)
+        self._surfaces = self._surfaces or Surfaces(self._size)
         settings = self._settings[index]
         text = settings.text
         if text not in self._renderers:
             self._renderers[text] = Renderer(
                 settings.arm,
-                *subject.task(),
+                *scene.task(),
                 settings.target if isinstance(settings.target, str) else "own target",
                 size=self._size,
                 camera=self._camera,
                 overlay=self._overlay,
-                sheet=self._sheet,
+                surfaces=self._surfaces,
             )
             kept = max(1, _MEMORY // self._renderers[text].memory)
             while len(self._renderers) > kept:
@@ -164,7 +164,7 @@ class Pictures:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what draws, which is made anew when it is needed."""
-        return self.__dict__ | {"_renderers": OrderedDict(), "_sheet": None, "_window": None}
+        return self.__dict__ | {"_renderers": OrderedDict(), "_surfaces": None, "_window": None}
 
 
 def _check_begun(history: History) -> None:

@@ -18,7 +18,7 @@ _FINEST = 2048
 """Largest side that is drawn twice as large first, for smooth edges [pixels]."""
 
 
-class Sheet:
+class Surfaces:
     """What is drawn on: surfaces that every picture is drawn on anew.
 
     Args:
@@ -52,7 +52,7 @@ class Renderer:
         camera: from where, a `Camera` or a name in `CAMERAS`; it may be changed.
         overlay: figures, phase portrait and strains as well; there must be room for them, 288×216
             at least.
-        sheet: to draw on, of that size; renderers that do not draw at once may share one.
+        surfaces: to draw on, of that size; renderers that do not draw at once may share one.
 
     A picture depends on the arguments of `draw` and the camera alone. It needs no display.
     """
@@ -67,7 +67,7 @@ class Renderer:
         size: tuple[int, int] = (640, 480),
         camera: Camera | str | None = None,
         overlay: bool = True,
-        sheet: Sheet | None = None,
+        surfaces: Surfaces | None = None,
     ) -> None:
         self.camera = find_camera(camera)
         self.size = picture_size(*size)
@@ -75,8 +75,8 @@ class Renderer:
         self.notes: tuple[str, ...] = ()
         """More lines among the figures."""
         self._parameters, self._orbit, self._range = parameters, orbit, action_range
-        sheet = sheet or Sheet(self.size)
-        self._fine, self._canvas, self._picture = sheet.fine, sheet.canvas, sheet.picture
+        surfaces = surfaces or Surfaces(self.size)
+        self._fine, self._canvas, self._picture = surfaces.fine, surfaces.canvas, surfaces.picture
         self._body = Body(parameters, orbit, action_range, self._fine)
         self._stage = self._body.stage
         count = parameters.compartments
@@ -157,7 +157,7 @@ class Renderer:
 
     @property
     def memory(self) -> int:
-        """Bytes that this takes, the sheet apart."""
+        """Bytes that this takes, the surfaces apart."""
         return self._water.get_pitch() * self._water.get_height()
 
     def _look(self) -> View:

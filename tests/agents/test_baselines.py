@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 from octoarm_agents.experiments.emulation.esn_search import rank_settings
-from octoarm_agents.experiments.emulation.protocol import TASKS, Drive, fit_readout, score_features
+from octoarm_agents.experiments.emulation.protocol import (
+    TASKS,
+    TrialInput,
+    fit_readout,
+    score_features,
+)
 from octoarm_agents.reservoir.baselines import (
     BASELINES,
     ESN_SETTINGS,
@@ -16,7 +21,7 @@ from octoarm_agents.reservoir.baselines import (
 
 @pytest.fixture(scope="module")
 def drive():
-    return Drive.make("sines", 5, 0)
+    return TrialInput.make("sines", 5, 0)
 
 
 @pytest.fixture
@@ -91,7 +96,7 @@ def test_delayed_squares_make_the_volterra_task_exactly(drive):
 
 
 def test_delayed_squares_do_not_make_it_exactly_when_the_input_is_not_periodic():
-    drive = Drive.make("iid", 5, 0)
+    drive = TrialInput.make("iid", 5, 0)
     scores, readout = score_features(delayed_polynomial(drive.signal, 2), drive)
     assert readout.rank_ == 78
     assert scores["test"]["volterra"] > 1e-7

@@ -36,7 +36,7 @@ from octoarm_agents.calibration.space import (
     SearchSpace,
     tilt_gravity,
 )
-from octoarm_agents.experiments.emulation.protocol import INITIAL_STEPS, TASKS, Drive
+from octoarm_agents.experiments.emulation.protocol import INITIAL_STEPS, TASKS, TrialInput
 from octoarm_agents.experiments.emulation.trials import score_arm
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
@@ -100,7 +100,7 @@ def test_the_papers_training_makes_of_its_body_what_the_paper_reports(monkeypatc
 
 
 def test_ratios_are_those_of_the_trials_of_table_2():
-    drive = Drive.make("sines", 0, 0)
+    drive = TrialInput.make("sines", 0, 0)
     trial = score_arm(BODY, kind="sines", amplitude=60.0, seed=0, trial=0)
     assert trial["failure"] is None
     (ratios,) = measure_task1([Arm(BODY)], [drive.initial])

@@ -18,7 +18,7 @@ from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
     TASKS,
-    Drive,
+    TrialInput,
     fit_readout,
     record_many,
     score_features,
@@ -53,7 +53,7 @@ def read_result(folder, name):
 
 @pytest.fixture(scope="module")
 def drive():
-    return Drive.make("sines", 0, 0)
+    return TrialInput.make("sines", 0, 0)
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +63,11 @@ def lengths(drive):
 
 
 def test_a_trial_has_the_phases_of_section_2_2_1():
-    starts = {Drive.make("sines", 0, trial).initial for trial in range(60)}
+    starts = {TrialInput.make("sines", 0, trial).initial for trial in range(60)}
     assert min(starts) >= 0
     assert max(starts) <= 1000
     assert len(starts) > 50
-    drive = Drive.make("sines", 0, 1)
+    drive = TrialInput.make("sines", 0, 1)
     assert drive.training == slice(drive.initial + 1_000, drive.initial + 11_000)
     assert drive.test == slice(drive.initial + 11_000, drive.initial + 16_000)
     assert drive.signal.shape == (drive.test.stop,)
@@ -76,17 +76,17 @@ def test_a_trial_has_the_phases_of_section_2_2_1():
 
 def test_a_trial_is_the_same_from_the_same_seed_and_number():
     first, again, other, seed = (
-        Drive.make("iid", *each) for each in ((3, 1), (3, 1), (3, 2), (4, 1))
+        TrialInput.make("iid", *each) for each in ((3, 1), (3, 1), (3, 2), (4, 1))
     )
     np.testing.assert_array_equal(first.signal, again.signal)
     for different in (other, seed):
         assert not np.array_equal(first.signal[:60], different.signal[:60])
     with pytest.raises(ValueError, match="kind = 'noise': expected one of"):
-        Drive.make("noise", 0, 0)
+        TrialInput.make("noise", 0, 0)
 
 
 def test_the_scale_is_the_same_in_all_trials_and_reaches_the_range():
-    trials = [Drive.make("sines", 0, trial) for trial in range(5)]
+    trials = [TrialInput.make("sines", 0, trial) for trial in range(5)]
     assert len({trial.peak for trial in trials}) == 1
     assert all(np.abs(trial.signal).max() <= trial.peak for trial in trials)
 
@@ -95,7 +95,7 @@ def test_the_linear_regressor_has_the_errors_of_table_2():
     # It needs no arm, so that this checks input, targets, phases and error alone.
     errors = []
     for trial in range(20):
-        drive = Drive.make("sines", 0, trial)
+        drive = TrialInput.make("sines", 0, trial)
         errors.append(list(score_features(powers(drive.signal, 1), drive)[0]["test"].values()))
     expected = [PAPER[task]["linear_regressor"][0] for task in TASKS]
     np.testing.assert_allclose(np.mean(errors, axis=0), expected, rtol=0.05)
@@ -114,7 +114,7 @@ def test_the_readout_predicts_the_next_output_from_the_lengths_of_now(drive, len
 
 
 def test_arms_are_recorded_together_as_alone():
-    drives = [Drive.make(kind, 0, trial) for kind in ("sines", "iid") for trial in range(2)]
+    drives = [TrialInput.make(kind, 0, trial) for kind in ("sines", "iid") for trial in range(2)]
     assert len({drive.initial for drive in drives}) == 2
     bodies = [HEAVY.replace(area_scale=5.0 + index) for index in range(4)]
     # The third leaves its domain.

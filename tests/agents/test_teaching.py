@@ -8,7 +8,7 @@ from octoarm_agents.experiments.cycles.floquet_trials import noise_response
 from octoarm_agents.reservoir import Readout
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release, score_window
 from octoarm_agents.reservoir.floquet import floquet_exponents
-from octoarm_agents.reservoir.teaching import UNDISTURBED, Lesson, Teaching, teach
+from octoarm_agents.reservoir.teaching import UNDISTURBED, ReadoutTrainer, Teaching, teach
 from octoarm_agents.reservoir.tuning import tune
 
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters, DomainError
@@ -28,24 +28,24 @@ TURN = LIMIT_CYCLES["lissajous"].period / BODY.timestep
 
 
 @pytest.fixture(scope="module")
-def lesson():
-    return Lesson(BODY, GOOD)
+def trainer():
+    return ReadoutTrainer(BODY, GOOD)
 
 
 @pytest.fixture(scope="module")
 def quick():
-    """The lesson of a body that is quick, since it has few compartments."""
-    return Lesson(QUICK, GOOD)
+    """The trainer of a body that is quick, since it has few compartments."""
+    return ReadoutTrainer(QUICK, GOOD)
 
 
 @pytest.fixture(scope="module")
-def good(lesson):
-    return lesson.weights(GOOD.noise, UNDISTURBED)[0]
+def good(trainer):
+    return trainer.weights(GOOD.noise, UNDISTURBED)[0]
 
 
 @pytest.fixture(scope="module")
-def wild(lesson):
-    return lesson.weights(WILD.noise, UNDISTURBED)[0]
+def wild(trainer):
+    return trainer.weights(WILD.noise, UNDISTURBED)[0]
 
 
 def hold(weights):
@@ -56,18 +56,18 @@ def hold(weights):
 
 
 class TestTeaching:
-    def test_without_disturbances_it_is_the_papers(self, lesson):
-        fitted = lesson.fit(GOOD)
+    def test_without_disturbances_it_is_the_papers(self, trainer):
+        fitted = trainer.fit(GOOD)
         signal = LIMIT_CYCLES["lissajous"].signal(20_001, 20.0)
         lengths = Arm(BODY).run(signal[:-1])[GOOD.washout :]
         readout = Readout("noise", noise=GOOD.noise).fit(lengths, signal[1 + GOOD.washout :])
         np.testing.assert_array_equal(fitted.weights_, readout.weights_)
 
-    def test_a_lesson_gives_what_teach_gives(self, quick):
+    def test_a_trainer_gives_what_teach_gives(self, quick):
         taught = teach(QUICK, replace(GOOD, disturbances=SOME))
         assert taught.teaching == replace(GOOD, disturbances=SOME)
         exact = taught.readout.weights_
-        # `teach` sums in one thread, this lesson in as many as there are: other last digits.
+        # `teach` sums in one thread, this trainer in as many as there are: other last digits.
         again = quick.fit(taught.teaching).weights_
         np.testing.assert_allclose(again, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
         weights, error = quick.weights(GOOD.noise, SOME)
@@ -75,38 +75,41 @@ class TestTeaching:
         np.testing.assert_allclose(weights, exact, rtol=0, atol=1e-8 * np.abs(exact).max())
         assert error == pytest.approx(taught.readout.training_error_, rel=1e-6)
 
-    def test_sampled_noise_is_the_papers_own_training(self, lesson):
-        readout = lesson.fit(replace(GOOD, sampled=True, seed=3))
+    def test_sampled_noise_is_the_papers_own_training(self, trainer):
+        readout = trainer.fit(replace(GOOD, sampled=True, seed=3))
         drawn = np.random.default_rng(3).uniform(-GOOD.noise, GOOD.noise, (16_000, 80))
-        rows = lesson.run.lengths[GOOD.washout :] + drawn
-        expected, *_ = np.linalg.lstsq(rows, lesson.run.signal[1 + GOOD.washout :])
+        rows = trainer.run.lengths[GOOD.washout :] + drawn
+        expected, *_ = np.linalg.lstsq(rows, trainer.run.signal[1 + GOOD.washout :])
         scale = np.abs(expected).max()
         np.testing.assert_allclose(readout.weights_, expected, rtol=0, atol=1e-9 * scale)
         # Its expectation is the ridge: the same within a few parts in a hundred.
-        ridge = lesson.fit(GOOD).weights_
+        ridge = trainer.fit(GOOD).weights_
         np.testing.assert_allclose(readout.weights_, ridge, rtol=0, atol=0.1 * scale)
         with pytest.raises(ValueError, match="expected zeros where the noise is sampled"):
             replace(GOOD, sampled=True, disturbances=SOME)
 
-    def test_no_noise_is_the_pseudo_inverse(self, lesson):
-        fitted = lesson.fit(replace(GOOD, noise=0.0))
-        lengths, signal = lesson.run.lengths[GOOD.washout :], lesson.run.signal[1 + GOOD.washout :]
+    def test_no_noise_is_the_pseudo_inverse(self, trainer):
+        fitted = trainer.fit(replace(GOOD, noise=0.0))
+        lengths, signal = (
+            trainer.run.lengths[GOOD.washout :],
+            trainer.run.signal[1 + GOOD.washout :],
+        )
         np.testing.assert_array_equal(fitted.weights_, Readout().fit(lengths, signal).weights_)
 
-    def test_the_readout_answers_less_to_what_is_penalised(self, lesson):
-        plain, plain_error = lesson.weights(1e-6, UNDISTURBED)
-        weighted, weighted_error = lesson.weights(1e-6, SOME)
+    def test_the_readout_answers_less_to_what_is_penalised(self, trainer):
+        plain, plain_error = trainer.weights(1e-6, UNDISTURBED)
+        weighted, weighted_error = trainer.weights(1e-6, SOME)
         assert weighted_error > plain_error
         # The body that follows a base disturbed a little, more slowly than in any of the scales.
         steps = 8_000
         slow = 0.01 * np.sin(np.arange(steps) / 80.0)[:, np.newaxis] * [1.0, 0.5]
-        disturbed = Arm(BODY).run(lesson.run.signal[:steps] + slow)
-        deviations = (disturbed - lesson.run.lengths[:steps])[4_000:]
+        disturbed = Arm(BODY).run(trainer.run.signal[:steps] + slow)
+        deviations = (disturbed - trainer.run.lengths[:steps])[4_000:]
         answers = [np.square(deviations @ weights).mean() for weights in (plain, weighted)]
         assert answers[1] < answers[0]
 
     def test_the_seed_is_that_of_the_disturbances(self, quick):
-        other = Lesson(QUICK, replace(GOOD, seed=1))
+        other = ReadoutTrainer(QUICK, replace(GOOD, seed=1))
         np.testing.assert_array_equal(
             other.weights(GOOD.noise, UNDISTURBED)[0], quick.weights(GOOD.noise, UNDISTURBED)[0]
         )
@@ -143,64 +146,64 @@ class TestTeaching:
 
 
 class TestExponents:
-    def test_without_readout_the_bodys_own_deviations_die_out(self, lesson):
+    def test_without_readout_the_bodys_own_deviations_die_out(self, trainer):
         none = np.zeros((80, 2))
-        exponents = lesson.exponents(none)
+        exponents = trainer.exponents(none)
         assert exponents.shape == (5,)
         assert np.all(np.diff(exponents) <= 0)
         assert exponents[0] < -0.1
         # A bias of zero is no readout either.
-        np.testing.assert_allclose(lesson.exponents(np.zeros((81, 2))), exponents, rtol=1e-12)
+        np.testing.assert_allclose(trainer.exponents(np.zeros((81, 2))), exponents, rtol=1e-12)
 
-    def test_a_loop_that_holds_has_no_exponent_but_the_phases(self, lesson, good):
+    def test_a_loop_that_holds_has_no_exponent_but_the_phases(self, trainer, good):
         loop = hold(good)
         assert loop.failure is None
         orbit = LIMIT_CYCLES["lissajous"].orbit(GOOD.amplitude)
         assert score_window(loop.outputs[-5_000:], orbit, TURN)["held"] is True
         # Over eight turns the phase's exponent is zero within a few tenths.
-        phase, second, *_ = lesson.exponents(good, steps=round(8 * TURN))
+        phase, second, *_ = trainer.exponents(good, steps=round(8 * TURN))
         assert abs(phase) < 0.3
         assert second < 0
 
-    def test_a_loop_that_is_lost_has_a_positive_exponent(self, lesson, wild):
+    def test_a_loop_that_is_lost_has_a_positive_exponent(self, trainer, wild):
         assert hold(wild).failure is not None
         # A deviation grows tenfold within some steps.
-        assert lesson.exponents(wild)[0] > 100
+        assert trainer.exponents(wild)[0] > 100
 
-    def test_a_loop_of_boundless_gain_has_none(self, lesson, good):
-        assert lesson.exponents(1e200 * good).shape == (0,)
+    def test_a_loop_of_boundless_gain_has_none(self, trainer, good):
+        assert trainer.exponents(1e200 * good).shape == (0,)
 
-    def test_they_belong_to_the_teachers_orbit(self, lesson, wild):
+    def test_they_belong_to_the_teachers_orbit(self, trainer, wild):
         """With the offsets added, even a loop that is lost stays on it for a while."""
         begin, steps = 6_000, 20
-        arm = lesson.run.arm_after(begin)
-        offsets = lesson.run.offsets(wild, begin, begin + steps)
+        arm = trainer.run.arm_after(begin)
+        offsets = trainer.run.offsets(wild, begin, begin + steps)
         outputs, lengths = arm.run_closed_loop(wild, steps, offsets)
         np.testing.assert_allclose(
-            outputs + offsets, lesson.run.signal[begin : begin + steps], atol=1e-6
+            outputs + offsets, trainer.run.signal[begin : begin + steps], atol=1e-6
         )
-        np.testing.assert_allclose(lengths, lesson.run.lengths[begin : begin + steps], atol=1e-9)
+        np.testing.assert_allclose(lengths, trainer.run.lengths[begin : begin + steps], atol=1e-9)
 
-    def test_the_seed_of_the_deviations_hardly_matters(self, lesson, wild):
-        first, second = (floquet_exponents(lesson.run, wild, count=1, seed=s) for s in (0, 1))
+    def test_the_seed_of_the_deviations_hardly_matters(self, trainer, wild):
+        first, second = (floquet_exponents(trainer.run, wild, count=1, seed=s) for s in (0, 1))
         np.testing.assert_allclose(first, second, rtol=0.01)
 
-    def test_what_cannot_be_is_refused(self, lesson, good):
+    def test_what_cannot_be_is_refused(self, trainer, good):
         with pytest.raises(ValueError, match="count = 0: expected a whole number, at least 1"):
-            floquet_exponents(lesson.run, good, count=0)
+            floquet_exponents(trainer.run, good, count=0)
         with pytest.raises(ValueError, match=r"has 20000 steps, begin \+ skip \+ steps = 26000"):
-            floquet_exponents(lesson.run, good, steps=20_000)
+            floquet_exponents(trainer.run, good, steps=20_000)
 
 
 class TestNoiseResponse:
-    def test_a_loop_without_readout_does_not_respond(self, lesson):
-        assert noise_response(lesson.run, np.zeros((80, 2)), 1e-4, 5_000) == pytest.approx(0.0)
+    def test_a_loop_without_readout_does_not_respond(self, trainer):
+        assert noise_response(trainer.run, np.zeros((80, 2)), 1e-4, 5_000) == pytest.approx(0.0)
 
     def test_a_loop_that_holds_responds_and_one_that_is_lost_is_thrown_out(
-        self, lesson, good, wild
+        self, trainer, good, wild
     ):
-        assert 0 < noise_response(lesson.run, good, 1e-5, 5_000) < 1_000
-        assert noise_response(lesson.run, wild, 1e-4, 5_000) is None
+        assert 0 < noise_response(trainer.run, good, 1e-5, 5_000) < 1_000
+        assert noise_response(trainer.run, wild, 1e-4, 5_000) is None
 
 
 class TestTuning:

@@ -15,7 +15,7 @@ from octoarm_agents.reservoir.closed_loop import (
     score_window,
 )
 from octoarm_agents.reservoir.cycles import CYCLES
-from octoarm_agents.reservoir.teaching import Lesson
+from octoarm_agents.reservoir.teaching import ReadoutTrainer
 from octoarm_env import LIMIT_CYCLES, ArmParameters, DomainError
 
 CLOSED_STEPS = 30_000
@@ -43,19 +43,19 @@ def plain_outcomes(parameters: ArmParameters, seeds: int) -> dict[str, list[str]
 def _outcomes(parameters: ArmParameters, target: str, seeds: int) -> list[str]:
     teaching = CYCLES[target]["plain"]
     try:
-        lesson = Lesson(parameters, teaching)
+        trainer = ReadoutTrainer(parameters, teaching)
     except DomainError:
         return ["lost"] * seeds
     orbit, found = LIMIT_CYCLES[target].orbit(teaching.amplitude), []
     for seed in range(seeds):
-        weights = lesson.fit(replace(teaching, seed=seed)).weights_
-        start = lesson.run.arm_after(FORCED_STEPS)
+        weights = trainer.fit(replace(teaching, seed=seed)).weights_
+        start = trainer.run.arm_after(FORCED_STEPS)
         loop = ClosedLoop(start, weights, teaching.amplitude, jump=None)
         loop.run(CLOSED_STEPS)
         if loop.failure is not None:
             found.append("lost")
             continue
-        scores = score_window(loop.outputs[-WINDOW_STEPS:], orbit, lesson.run.turn)
+        scores = score_window(loop.outputs[-WINDOW_STEPS:], orbit, trainer.run.turn)
         found.append("held" if scores["held"] else "irregular")
     return found
 

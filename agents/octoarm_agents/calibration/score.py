@@ -30,7 +30,7 @@ from octoarm_agents.experiments.emulation.protocol import (
     PAPER,
     RANGE,
     TASKS,
-    Drive,
+    TrialInput,
     check_timestep,
     record_many,
     score_features,
@@ -74,7 +74,7 @@ def initial_steps(trials: int) -> list[int]:
     return [round(value) for value in np.linspace(0, INITIAL_STEPS, trials)]
 
 
-_drive = functools.lru_cache(maxsize=8)(Drive.of_sines)
+_drive = functools.lru_cache(maxsize=8)(TrialInput.of_sines)
 
 
 def measure_task1(

@@ -134,10 +134,10 @@ def teach(parameters: ArmParameters, teaching: Teaching) -> Taught:
     """
     # Sums split over threads are rounded otherwise.
     with threadpool_limits(1):
-        return Lesson(parameters, teaching).teach(teaching)
+        return ReadoutTrainer(parameters, teaching).teach(teaching)
 
 
-class Lesson:
+class ReadoutTrainer:
     """A body that has followed a teacher, from which readouts are fitted at once.
 
     Attributes:

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.reservoir.closed_loop import FORCED_STEPS, ClosedLoop
-from octoarm_agents.reservoir.teaching import Lesson, Teaching
+from octoarm_agents.reservoir.teaching import ReadoutTrainer, Teaching
 from octoarm_env import LIMIT_CYCLES, ArmParameters
 from octoarm_env.arrays import Float
 
@@ -109,7 +109,7 @@ def tune(
     record: list[dict[str, Any]] = []
     # Sums split over threads are rounded otherwise, and the search would take another way.
     with threadpool_limits(1):
-        judge = _Judge(Lesson(parameters, teaching), noise)
+        judge = _Judge(ReadoutTrainer(parameters, teaching), noise)
         while len(record) < evaluations:
             candidates = search.ask()
             results = []
@@ -127,8 +127,8 @@ def tune(
 class _Judge:
     """Closes the loop of each candidate from the same start, under the same noise."""
 
-    def __init__(self, lesson: Lesson, noise: float) -> None:
-        self._lesson, self._run = lesson, lesson.run
+    def __init__(self, trainer: ReadoutTrainer, noise: float) -> None:
+        self._trainer, self._run = trainer, trainer.run
         self._start = self._run.arm_after(FORCED_STEPS)
         self._orbit = LIMIT_CYCLES[self._run.target].orbit(self._run.amplitude)
         drawn = np.random.default_rng(0).uniform(-noise, noise, (TRIAL_STEPS // 2, 2))
@@ -136,12 +136,12 @@ class _Judge:
 
     def judge(self, sizes: Float) -> dict[str, Any]:
         """A candidate (ν, κ...) with its score; the lower, the better."""
-        weights, error = self._lesson.weights(float(sizes[0]), sizes[1:].tolist())
+        weights, error = self._trainer.weights(float(sizes[0]), sizes[1:].tolist())
         steps, distance = self._trial(weights)
         if distance is not None:
             score = 0.3 * math.log10(distance)
         else:
-            exponents = self._lesson.exponents(weights, steps=800)
+            exponents = self._trainer.exponents(weights, steps=800)
             score = 2.0 - steps / TRIAL_STEPS + _instability(exponents)
             score += 0.7 * max(0.0, math.log10(error / self._run.amplitude / _LARGE_ERROR))
         return {

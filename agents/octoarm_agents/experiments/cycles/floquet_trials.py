@@ -14,7 +14,7 @@ import numpy as np
 from octoarm_agents.experiments.cycles.trials import TaughtLoop, hold_cycle
 from octoarm_agents.reservoir.closed_loop import HELD_DISTANCE, describe_domain_error
 from octoarm_agents.reservoir.teacher import TeacherRun
-from octoarm_agents.reservoir.teaching import Lesson, Teaching
+from octoarm_agents.reservoir.teaching import ReadoutTrainer, Teaching
 from octoarm_env import ArmParameters, DomainError
 from octoarm_env.arrays import Float
 
@@ -60,20 +60,20 @@ def probe_loops(
     """
     how = Teaching(**teaching)
     try:
-        lesson = Lesson(parameters, how)
+        trainer = ReadoutTrainer(parameters, how)
         fits = [
-            (factor, noise, *lesson.weights(noise, [factor * size for size in how.disturbances]))
+            (factor, noise, *trainer.weights(noise, [factor * size for size in how.disturbances]))
             for factor in factors
             for noise in noises
         ]
     except DomainError as error:
         return {"failure": {"stage": "teaching"} | describe_domain_error(error), "loops": []}
-    longest = len(lesson.run.lengths) - _BEGIN - 1_000
-    averaged = min(round(RESPONSE_TURNS * lesson.run.turn), longest)
+    longest = len(trainer.run.lengths) - _BEGIN - 1_000
+    averaged = min(round(RESPONSE_TURNS * trainer.run.turn), longest)
     loops = []
     for factor, noise, weights, training_error in fits:
-        exponents = [float(value) for value in lesson.exponents(weights, averaged)]
-        loop = TaughtLoop(how.target, how.amplitude, lesson.run.actuator, weights.tolist())
+        exponents = [float(value) for value in trainer.exponents(weights, averaged)]
+        loop = TaughtLoop(how.target, how.amplitude, trainer.run.actuator, weights.tolist())
         held = hold_cycle(parameters, loop=vars(loop), steps=steps)
         loops.append(
             {
@@ -83,7 +83,7 @@ def probe_loops(
                 "exponents": exponents,
                 "leading_exponent": leading_exponent(exponents),
                 "responses": [
-                    noise_response(lesson.run, weights, size, averaged) for size in RESPONSE_NOISES
+                    noise_response(trainer.run, weights, size, averaged) for size in RESPONSE_NOISES
                 ],
                 "steps": held["steps"],
                 "loop_failure": held["failure"],

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from octoarm_agents.experiments.emulation.protocol import INPUTS, Drive, score_features
+from octoarm_agents.experiments.emulation.protocol import INPUTS, TrialInput, score_features
 from octoarm_agents.reservoir.baselines import echo_state_network
 
 SEED = 20131
@@ -33,7 +33,7 @@ def rank_settings(
     Returns:
         ``(score, settings)`` of each, the best, smallest score first.
     """
-    drives = [Drive.make(kind, SEED, 0) for kind in INPUTS]
+    drives = [TrialInput.make(kind, SEED, 0) for kind in INPUTS]
     ranking = []
     for values in itertools.product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))

@@ -25,7 +25,7 @@ from octoarm_agents.experiments.emulation.protocol import (
     RANGE,
     TASK_HEADINGS,
     TASKS,
-    Drive,
+    TrialInput,
     fit_readout,
     mean_squared_errors,
     record_many,
@@ -54,7 +54,7 @@ PAPER = {
 def run(settings: RunSettings) -> dict[str, Any]:
     """Trial 0: input, spring lengths, targets and outputs at the begin of the evaluation phase."""
     amplitude = RANGE if settings.amplitude is None else settings.amplitude
-    drive = Drive.make("sines", settings.seed, 0)
+    drive = TrialInput.make("sines", settings.seed, 0)
     begin = drive.test.start
     shown = slice(begin, begin + SHOWN_STEPS, EVERY)
     (lengths,) = record_many([Arm(settings.parameters)], [drive], [amplitude])

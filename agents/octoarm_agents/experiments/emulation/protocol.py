@@ -58,7 +58,7 @@ _REST = WASHOUT_STEPS + TRAINING_STEPS + TEST_STEPS
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class TrialInput:
     """One trial's input, and what is to be computed from it. No arm is needed for it.
 
     Attributes:
@@ -74,7 +74,7 @@ class Drive:
     peak: float
 
     @classmethod
-    def make(cls, kind: str, seed: int, trial: int) -> Drive:
+    def make(cls, kind: str, seed: int, trial: int) -> TrialInput:
         """Draw T_ini, and the input too if it is the random one, from (seed, trial).
 
         Args:
@@ -95,7 +95,7 @@ class Drive:
         raise ValueError(f"kind = {kind!r}: expected one of {list(INPUTS)}")
 
     @classmethod
-    def of_sines(cls, initial: int) -> Drive:
+    def of_sines(cls, initial: int) -> TrialInput:
         """Task 1 with a given T_ini, 0 to `INITIAL_STEPS`."""
         longest = product_of_sines(INITIAL_STEPS + _REST)
         signal = longest[: initial + _REST]
@@ -115,7 +115,7 @@ class Drive:
 
 
 def record_many(
-    arms: Sequence[Arm], drives: Sequence[Drive], amplitudes: Sequence[float]
+    arms: Sequence[Arm], drives: Sequence[TrialInput], amplitudes: Sequence[float]
 ) -> list[Recording]:
     """Spring lengths of several arms, each of which follows a drive from where it is.
 
@@ -148,7 +148,7 @@ def check_timestep(parameters: ArmParameters) -> None:
         )
 
 
-def fit_readout(features: Float, drive: Drive) -> Readout:
+def fit_readout(features: Float, drive: TrialInput) -> Readout:
     """The paper's readout: Moore-Penrose pseudo-inverse on the training rows, no bias."""
     return Readout("pinv").fit(features[drive.training], drive.targets[drive.training])
 
@@ -159,7 +159,7 @@ def mean_squared_errors(outputs: Float, targets: Float) -> dict[str, float]:
     return dict(zip(TASKS, errors.tolist(), strict=True))
 
 
-def score_features(features: Float, drive: Drive) -> tuple[Scores, Readout]:
+def score_features(features: Float, drive: TrialInput) -> tuple[Scores, Readout]:
     """Fit the readout on the training rows of some features, and measure it.
 
     Args:

@@ -1,6 +1,6 @@
 """The trials of Task 1: each gives the errors of one run of the arm, as plain numbers.
 
-All take ``kind``, ``seed`` and ``trial`` as `Drive.make` does, ``amplitude``, R [degrees], and
+All take ``kind``, ``seed`` and ``trial`` as `TrialInput.make` does, ``amplitude``, R [degrees], and
 ``recording``, what `record_trials` gives for the trial; None: it is recorded by the trial itself.
 All give ``trial``, ``initial_steps``, T_ini, and ``failure``: None, or the message and the numbers
 of an arm that left its domain, of which there are no errors.
@@ -17,7 +17,7 @@ import numpy as np
 from octoarm_agents.common.lanes import Recording
 from octoarm_agents.common.trials import Settings, Trial
 from octoarm_agents.experiments.emulation.protocol import (
-    Drive,
+    TrialInput,
     check_timestep,
     fit_readout,
     mean_squared_errors,
@@ -62,7 +62,7 @@ def record_trials(
     parameters: ArmParameters, settings: Sequence[Mapping[str, Any]]
 ) -> list[Recording]:
     """Record the arms of several trials in less time than one by one; see `run_trials`."""
-    drives = [Drive.make(each["kind"], each["seed"], each["trial"]) for each in settings]
+    drives = [TrialInput.make(each["kind"], each["seed"], each["trial"]) for each in settings]
     amplitudes = [each["amplitude"] for each in settings]
     return record_many([Arm(parameters)] * len(drives), drives, amplitudes)
 
@@ -86,7 +86,7 @@ def _trial(measure: Callable[..., dict[str, Any]]) -> Trial:
         recording: Recording | None = None,
         **more: Any,
     ) -> dict[str, Any]:
-        drive = Drive.make(kind, seed, trial)
+        drive = TrialInput.make(kind, seed, trial)
         if recording is None:
             (recording,) = record_many([Arm(parameters)], [drive], [amplitude])
         lengths: Recording | None = recording
@@ -102,7 +102,7 @@ def _trial(measure: Callable[..., dict[str, Any]]) -> Trial:
 @_trial
 def score_arm(
     lengths: Float | None,
-    drive: Drive,
+    drive: TrialInput,
     random: np.random.Generator,
     sensor_noise: Sequence[float] = (),
 ) -> dict[str, Any]:
@@ -125,7 +125,7 @@ def score_arm(
 @_trial
 def compare_methods(
     lengths: Float | None,
-    drive: Drive,
+    drive: TrialInput,
     random: np.random.Generator,
     sensor_noise: Sequence[float],
 ) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def compare_methods(
 
 @_trial
 def leave_out_compartments(
-    lengths: Float | None, drive: Drive, _: np.random.Generator
+    lengths: Float | None, drive: TrialInput, _: np.random.Generator
 ) -> dict[str, Any]:
     """Errors with one compartment's four springs left out, at the test alone or from the start.
 
@@ -177,14 +177,14 @@ def leave_out_compartments(
     return {"full": full, "zeroed": zeroed, "retrained": retrained}
 
 
-def _score(lengths: Float, drive: Drive, noises: Iterable[Float]) -> dict[str, Any]:
+def _score(lengths: Float, drive: TrialInput, noises: Iterable[Float]) -> dict[str, Any]:
     """Errors of the readouts of a run and of the same run with each noise."""
     scores, readout = score_features(lengths, drive)
     noisy = [score_features(lengths + noise, drive)[0] for noise in noises]
     return {"arm": scores, "state_rank": readout.rank_, "sensor_noise": noisy}
 
 
-def _reduced_weights(lengths: Float, drive: Drive) -> list[tuple[slice, Float]]:
+def _reduced_weights(lengths: Float, drive: TrialInput) -> list[tuple[slice, Float]]:
     """Weights of the readout trained without each compartment.
 
     The training rows are reduced once to their triangular factor, which has the same least-squares
