@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import multiprocessing
 import os
 import pickle
 import shutil
@@ -113,18 +114,12 @@ def train_and_break(training: Training, out: Path, stop: int) -> None:
         train(training, out, progress=progress)
 
 
-KILLED = """
-import os, pickle, signal, sys
-from pathlib import Path
-from octoarm_agents.rl import training
+def train_and_die(training: Training, out: Path) -> None:
+    def progress(done: int, value: float) -> None:
+        if done >= 150:
+            os.kill(os.getpid(), signal.SIGKILL)
 
-def progress(done, value):
-    if done >= 150:
-        os.kill(os.getpid(), signal.SIGKILL)
-
-training.JUDGED_STEPS = 20
-training.train(pickle.loads(bytes.fromhex(sys.argv[2])), Path(sys.argv[1]), progress=progress)
-"""
+    train(training, out, progress=progress)
 
 
 def check_resumed(training: Training, out: Path, expected: Trained) -> None:
@@ -151,9 +146,13 @@ def test_broken_off_and_resumed_as_if_never_interrupted(
 
 def test_killed_and_resumed_in_another_process(tmp_path: Path, whole: Any) -> None:
     training = small("ppo")
-    packed = pickle.dumps(training).hex()
-    command = [sys.executable, "-c", KILLED, str(tmp_path), packed]
-    assert subprocess.run(command, check=False, timeout=600).returncode == -signal.SIGKILL
+    # Forked, with PyTorch imported already.
+    process = multiprocessing.get_context("fork").Process(
+        target=train_and_die, args=(training, tmp_path)
+    )
+    process.start()
+    process.join(600)
+    assert process.exitcode == -signal.SIGKILL
     check_resumed(training, tmp_path, whole(training))
 
 

@@ -54,12 +54,15 @@ pub(crate) fn control_step_of_lanes(
     physics_steps: &[u32; WIDTH],
 ) -> [Option<DomainError>; WIDTH] {
     let mut failures = [None; WIDTH];
-    let starts: [[f64; 2]; WIDTH] = std::array::from_fn(|lane| lanes.base_degrees(lane));
-    let actuators: [Actuator; WIDTH] = std::array::from_fn(|lane| lanes.actuator(lane));
+    let arms = lanes.len();
+    let starts: [[f64; 2]; WIDTH] =
+        std::array::from_fn(|lane| lanes.base_degrees(lane.min(arms - 1)));
+    let actuators: [Actuator; WIDTH] =
+        std::array::from_fn(|lane| lanes.actuator(lane.min(arms - 1)));
     let mut commands = [[0.0; 2]; WIDTH];
     let mut moves = [false; WIDTH];
     for step in 1..=*physics_steps.iter().max().unwrap_or(&0) {
-        for lane in 0..WIDTH {
+        for lane in 0..arms {
             let steps = physics_steps[lane];
             moves[lane] = step <= steps && failures[lane].is_none();
             if moves[lane] {
@@ -68,7 +71,7 @@ pub(crate) fn control_step_of_lanes(
             }
         }
         if !lanes.step(&commands, &moves) {
-            for lane in 0..WIDTH {
+            for lane in 0..arms {
                 // A lane that has failed before does not move any more.
                 if moves[lane] {
                     failures[lane] = lanes.failure(lane);

@@ -123,8 +123,8 @@ fn seen(batch: &mut EpisodeBatch, actions: &[[f64; 2]]) -> Vec<Seen> {
 #[test]
 fn a_batch_is_its_episodes() {
     for autoreset in [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled] {
-        let configs = configs(19);
-        let seeds: Vec<Option<u64>> = (0..19).map(Some).collect();
+        let configs = configs(17);
+        let seeds: Vec<Option<u64>> = (0..17).map(Some).collect();
         let mut singles: Vec<Single> = configs
             .iter()
             .zip(0..)
@@ -136,7 +136,7 @@ fn a_batch_is_its_episodes() {
                 Single { episode, elapsed: 0, ended: false }
             })
             .collect();
-        let mut batches = [batch(19, autoreset, 1), batch(19, autoreset, 2)];
+        let mut batches = [batch(17, autoreset, 1), batch(17, autoreset, 2)];
         for batch in &mut batches {
             batch.reset(None, &seeds, None).unwrap();
         }
@@ -151,7 +151,7 @@ fn a_batch_is_its_episodes() {
                 for batch in &mut batches {
                     let message = batch.step(&actions).unwrap_err().to_string();
                     assert!(message.contains("call reset first"), "{message}");
-                    let reset = batch.reset(Some(&mask), &[None; 19], None).unwrap();
+                    let reset = batch.reset(Some(&mask), &[None; 17], None).unwrap();
                     for (index, outcome) in reset.outcomes.iter().enumerate() {
                         assert_eq!(outcome.is_some(), mask[index]);
                     }
