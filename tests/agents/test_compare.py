@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import asdict, replace
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,9 @@ import octoarm_agents.comparison
 import pytest
 from octoarm_agents.common.intervals import bootstrap_interval, interquartile_mean
 from octoarm_agents.comparison import AGENTS, Comparison, TestPlan, compare, draw_all
-from octoarm_agents.comparison.agents import NETWORKS, TrainingRun, make_agent
+from octoarm_agents.comparison.agents import NETWORKS, READOUTS, TrainingRun, make_agent
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
 from octoarm_agents.comparison.measuring import BODIES, NOISES, PUSHES, changed_body, measure_agent
-from octoarm_agents.comparison.readout_map import map_readout
 from octoarm_agents.comparison.report import write_report
 from octoarm_agents.comparison.rows import summary
 from octoarm_agents.policies import load_policy
@@ -29,9 +29,8 @@ WHOLE = Comparison(
     seeds=2,
     budget=0.004,
     plan=TestPlan(episodes=1, steps=120, long_steps=300, after=250),
-    readout_map=0,
 )
-LEFT_OUT = ("readout_ridge", *NETWORKS[1:])
+LEFT_OUT = (*READOUTS[1:], *NETWORKS[1:])
 SLICE = replace(WHOLE, agents=tuple(agent for agent in AGENTS if agent not in LEFT_OUT))
 """One of each kind."""
 
@@ -61,6 +60,7 @@ def test_every_agent_is_there(comparison: Comparison, result: dict[str, Any]) ->
         trained = agent not in ("hold", "clock")
         assert row["target"] == "quadratic"
         assert row["training_seeds"] == (2 if trained else 0)
+        assert [each["size"] for each in row["shakes"]] == [10.0]
         assert len(row["return"]["values"]) == (2 if trained else 1)
         assert row["return"]["low"] <= row["return"]["iqm"] <= row["return"]["high"]
         assert [each["size"] for each in row["noises"]] == list(NOISES)
@@ -107,14 +107,33 @@ def test_known_agents_measure_as_known(result: dict[str, Any]) -> None:
 def test_the_same_call_takes_what_is_there(
     comparison: Comparison, folder: Path, result: dict[str, Any]
 ) -> None:
-    before = {path: path.stat().st_mtime_ns for path in (folder / "runs").rglob("*")}
+    def times() -> dict[Path, int]:
+        files = (path for part in ("runs", "results") for path in (folder / part).rglob("*"))
+        return {path: path.stat().st_mtime_ns for path in files}
+
+    before = times()
     again = compare(comparison, folder, progress=False)
-    assert before == {path: path.stat().st_mtime_ns for path in (folder / "runs").rglob("*")}
+    assert times() == before
+    assert again["rows"] == result["rows"]
 
-    def timeless(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        return [{key: row[key] for key in row if key != "inference_us"} for row in rows]
 
-    assert timeless(again["rows"]) == timeless(result["rows"])
+def test_a_table_grows_from_the_results_alone(
+    comparison: Comparison, folder: Path, result: dict[str, Any], tmp_path: Path
+) -> None:
+    """Another machine has the results and no trainings; one result is lost."""
+    shutil.copytree(folder / "results", tmp_path / "results")
+    (tmp_path / "results" / "readout_pinv-quadratic-1.json").unlink()
+    again = compare(comparison, tmp_path, progress=False)
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["readout_pinv-quadratic-1"]
+    grown, whole = (
+        next(row for row in each["rows"] if row["agent"] == "readout_pinv")
+        for each in (again, result)
+    )
+    assert grown["return"] == whole["return"]
+    assert grown["pushes"] == whole["pushes"]
+    # Of each agent only what is there can be shipped.
+    listed = json.loads((tmp_path / "trained" / "trained.json").read_text(encoding="utf-8"))
+    assert {each["agent"] for each in listed["agents"]} <= {"readout_pinv"}
 
 
 def test_shipped_agents_are_the_best_ones(
@@ -133,7 +152,7 @@ def test_shipped_agents_are_the_best_ones(
 def test_report_and_figures(comparison: Comparison, folder: Path, result: dict[str, Any]) -> None:
     text = write_report(result)
     for agent in comparison.agents:
-        assert text.count(f"| {agent} |") == 5
+        assert text.count(f"| {agent} |") == 6
     assert "nan" not in text
     assert "None" not in text
     draw_all(result, folder)
@@ -141,11 +160,12 @@ def test_report_and_figures(comparison: Comparison, folder: Path, result: dict[s
         assert (folder / f"{name}.png").stat().st_size > 10_000
 
 
-def test_another_comparison_is_refused(folder: Path) -> None:
+def test_another_comparison_is_refused(comparison: Comparison, folder: Path) -> None:
     with pytest.raises(ValueError, match="another training"):
         make_agent(TrainingRun("ppo", "quadratic", 0, 0.008, folder / "runs"))
-    with pytest.raises(ValueError, match="another training: choose another folder"):
-        make_agent(TrainingRun("linear_search", "quadratic", 0, 0.008, folder / "runs"))
+    other = replace(comparison, agents=("readout_pinv",), budget=0.008)
+    with pytest.raises(ValueError, match="is of another comparison: choose another folder"):
+        compare(other, folder, progress=False)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +228,7 @@ def test_changed_bodies() -> None:
 
 def test_measuring_needs_a_policy() -> None:
     with pytest.raises(ValueError, match="agent = 'ppo' needs the file"):
-        measure_agent(ArmParameters(), agent="ppo", settings={}, policy=None, digest=None, plan={})
+        measure_agent("ppo", None, {"target": "quadratic"}, TestPlan())
 
 
 class TestLinearSearch:
@@ -241,21 +261,6 @@ class TestLinearSearch:
     def test_bad_searches(self, changes: dict[str, Any], message: str) -> None:
         with pytest.raises(ValueError, match=message):
             LinearSearch("quadratic", **changes)
-
-
-def test_the_map_of_readouts() -> None:
-    plan = asdict(TestPlan(episodes=1, steps=200, long_steps=200, after=200))
-    calm, sharp = (
-        map_readout(
-            ArmParameters(), target="lissajous", action_noise=0.01, noise=noise, seed=0, plan=plan
-        )
-        for noise in (1e-6, 0.0)
-    )
-    assert min(calm["return"], sharp["return"]) > 196
-    # What is taught with noise stands noise.
-    size = NOISES.index(1e-5)
-    assert calm["noises"][size]["return"] > 160
-    assert sharp["noises"][size]["return"] < 40
 
 
 class TestStatistics:

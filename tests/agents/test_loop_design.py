@@ -5,7 +5,7 @@ import pytest
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.rollout import Noise
-from octoarm_agents.reservoir import LoopModel, Readout, design, design_policy
+from octoarm_agents.reservoir import LoopModel, Readout, design, design_policy, weighted_policy
 
 from octoarm_env import EpisodeSettings, OctoArmVectorEnv
 
@@ -64,6 +64,25 @@ def test_a_designed_readout_earns_what_was_expected_and_more_than_a_ridge(
     for noise, share in zip((0.0, NOISE), expected, strict=True):
         found = evaluate_policy(kept, kept, episodes=32, steps=PERIODS, noise=Noise(noise))
         assert found["return"] / PERIODS == pytest.approx(share, abs=0.015)
+
+
+def test_a_weighted_readout_answers_less_to_what_errors_do(model: LoopModel) -> None:
+    plain, weighted = (
+        weighted_policy(noise=1e-6, error=error, periods=PERIODS, seed=3) for error in (0.0, 0.1)
+    )
+    assert weighted.training == {
+        "noise": 1e-6,
+        "error": 0.1,
+        "steps": PERIODS * (2 * PERIODS + 1),
+    }
+    answers = [
+        np.linalg.norm(model.responses[-1].T @ policy.network.layers[0][0].T)
+        for policy in (plain, weighted)
+    ]
+    assert answers[1] < 0.9 * answers[0]
+    assert evaluate_policy(weighted, weighted, episodes=8, steps=PERIODS)["return"] > 0.9 * PERIODS
+    with pytest.raises(ValueError, match=r"error = -0\.1: expected a part of the action range"):
+        weighted_policy(error=-0.1)
 
 
 @pytest.mark.parametrize(

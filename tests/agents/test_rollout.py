@@ -81,6 +81,19 @@ def test_a_push_is_what_it_says() -> None:
     assert np.histogram(directions, 8, (-np.pi, np.pi))[0].min() > 5
 
 
+def test_a_shaken_base_gets_white_noise() -> None:
+    parameters, settings = inspect_env(gym.make("OctoArm-v0", amplitude=10.0))
+    envs = make_vector_env(50, parameters, settings, steps=60, threads=1)
+    shake = Push(4.0, 20, 30, white=True)
+    angles = roll_out(HoldPolicy(), envs, seed=0, steps=60, push=shake).angles
+    np.testing.assert_allclose(angles[19], 0, atol=1e-6)
+    np.testing.assert_allclose(angles[50:], 0, atol=1e-6)
+    shaken = angles[20:50]
+    assert 3.9 < np.abs(shaken).max() <= 4.0 + 1e-5
+    assert shaken.std() == pytest.approx(4 / np.sqrt(3), rel=0.03)
+    assert abs(np.corrcoef(shaken[:-1].ravel(), shaken[1:].ravel())[0, 1]) < 0.05
+
+
 def test_noise_reaches_the_agent_alone(readout: ReadoutPolicy) -> None:
     noisy, plain = Seen(HoldPolicy()), Seen(HoldPolicy())
     first, second = (

@@ -156,6 +156,17 @@ def test_killed_and_resumed_in_another_process(tmp_path: Path, whole: Any) -> No
     check_resumed(training, tmp_path, whole(training))
 
 
+def test_noise_is_trained_with_and_resumed(tmp_path: Path, whole: Any) -> None:
+    noisy = small("ppo", noise=1e-4)
+    assert whole(noisy).returns != whole(small("ppo")).returns
+    train_and_break(noisy, tmp_path, 150)
+    check_resumed(noisy, tmp_path, whole(noisy))
+    with pytest.raises(ValueError, match=r"noise is 0\.0001 there and 0\.0 here"):
+        train(small("ppo"), tmp_path, resume=True)
+    with pytest.raises(ValueError, match=r"noise = -1e-06: expected a number of metres"):
+        small("ppo", noise=-1e-6)
+
+
 def test_broken_off_before_the_first_evaluation(tmp_path: Path, whole: Any) -> None:
     training = small("ppo")
     train_and_break(training, tmp_path, 0)

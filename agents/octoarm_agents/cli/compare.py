@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from octoarm_agents.cli.options import Jobs, need_extra, number, processes, refused, result_folder
+from octoarm_agents.cli.options import (
+    Actuator,
+    Amplitude,
+    Body,
+    Jobs,
+    need_extra,
+    number,
+    processes,
+    refused,
+    result_folder,
+)
 
 Out = Annotated[
     Path,
@@ -18,7 +28,7 @@ Out = Annotated[
 def compare(
     out: Out = Path("out/compare"),
     agents: Annotated[
-        str | None, typer.Option(help="Some of the agents, with commas.", show_default="all nine")
+        str | None, typer.Option(help="Some of the agents, with commas.", show_default="all")
     ] = None,
     targets: Annotated[
         str | None, typer.Option(help="Some of the targets, with commas.", show_default="all three")
@@ -29,17 +39,22 @@ def compare(
     ] = 1.0,
     episodes: Annotated[int, number("Episodes in each test.", 1, 4096)] = 16,
     seed: Annotated[int, number("First seed of the tests' episodes.", 0, 2**31 - 1)] = 10_000,
+    amplitude: Amplitude = None,
+    arm: Body = None,
+    actuator: Actuator = "direct",
     jobs: Jobs = None,
 ) -> None:
     """Compare readouts, a searched linear policy, networks, and doing nothing.
 
-    Trains readout_pinv, readout_ridge, linear_search, ppo, sac, tqc and
-    recurrent_ppo, several times on each target, and measures all of them and
-    hold and clock on the same episodes: return, tracking error, orbit and
-    period, survival, recovery after pushes and noise, other bodies, cost.
+    Trains several times on each target, and measures all agents on the same
+    episodes: return, tracking error, orbit and period, survival, recovery
+    after pushes and noise, other bodies, cost. The agents: readout_pinv,
+    readout_ridge, readout_noise, readout_weighted, readout_designed,
+    linear_search, ppo, ppo_noise, sac, tqc, recurrent_ppo, hold, clock.
 
-    Trainings are kept in OUT/runs: the same call goes on where it was
-    interrupted. About an hour and a quarter on two cores.
+    What is finished is kept in OUT/results: the same call goes on where it
+    was interrupted, and with more agents, targets or seeds the table grows.
+    All together take two to three hours on two cores.
     """
     with need_extra("rl"):
         import octoarm_agents.rl  # noqa: F401
@@ -49,6 +64,10 @@ def compare(
     from octoarm_agents.comparison import compare as run
     from octoarm_agents.comparison.report import write_report
 
+    given = {"amplitude": amplitude, "arm": None if arm is None else str(arm)}
+    env = {name: value for name, value in given.items() if value is not None}
+    if actuator != "direct":
+        env["actuator"] = actuator
     with refused():
         comparison = Comparison(
             agents=_names(agents) or AGENTS,
@@ -57,6 +76,7 @@ def compare(
             budget=budget,
             plan=TestPlan(seed=seed, episodes=episodes),
             jobs=processes(jobs),
+            env=env,
         )
         result = run(comparison, out)
     write_text(out / "compare.md", write_report(result))

@@ -14,6 +14,7 @@ from octoarm_agents.cli.options import (
     Algorithm,
     Amplitude,
     Body,
+    NoiseSize,
     Seed,
     Target,
     need_extra,
@@ -50,6 +51,7 @@ def train(
     evaluations: Annotated[int, number(_EVALUATIONS, 1, 10_000)] = 20,
     amplitude: Amplitude = None,
     arm: Body = None,
+    noise: NoiseSize = 0.0,
     tensorboard: Annotated[
         bool, typer.Option(help="Write logs for TensorBoard into the folder.")
     ] = True,
@@ -81,6 +83,7 @@ def train(
             evaluations=evaluations,
             env={name: value for name, value in env.items() if value is not None},
             hyperparameters=Hyperparameters.load(algorithm, hyperparameters),
+            noise=noise,
         )
         with progress_bar(
             training.steps, f"{algorithm}, {target}", unit="step", unit_scale=True

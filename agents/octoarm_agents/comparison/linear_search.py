@@ -7,7 +7,7 @@ The same 2 · (80 + 1) weights as a readout with bias, but all that guides them 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ class LinearSearch:
         target: of the environment.
         steps: environment steps, all candidates and the recording of the scales together.
         seed: of the search and of the episodes.
+        env: further arguments of the environment.
         population: candidates of a generation.
         episodes: of each candidate, the same phases for all candidates of a generation.
         episode_steps: of each of these episodes; like the networks' trainings shorter than the
@@ -43,6 +44,7 @@ class LinearSearch:
     target: str
     steps: int = 2_000_000
     seed: int = 0
+    env: dict[str, Any] = field(default_factory=dict)
     population: int = 24
     episodes: int = 8
     episode_steps: int = 100
@@ -61,14 +63,15 @@ def search_linear(search: LinearSearch, out: Path) -> dict[str, Any]:
     """Search, and write ``best.npz`` into a folder, made if need be.
 
     Returns:
-        ``environment``, ``curve`` and ``best`` of it, ``seconds``, ``parameters``.
+        ``curve`` and ``best`` of it, ``seconds``, ``parameters``.
     """
     out.mkdir(parents=True, exist_ok=True)
-    parameters, settings = inspect_env(OctoArmEnv(search.target))
+    parameters, settings = inspect_env(OctoArmEnv(search.target, **search.env))
     judges = make_vector_env(JUDGED_EPISODES, parameters, settings, steps=500, threads=1)
     arms = OctoArmVectorEnv(
         search.population * search.episodes,
         search.target,
+        **search.env,
         max_episode_steps=None,
         autoreset_mode=AutoresetMode.DISABLED,
         threads=1,
@@ -109,7 +112,6 @@ def search_linear(search: LinearSearch, out: Path) -> dict[str, Any]:
         done += cost
         generation += 1
     return {
-        "environment": settings,
         "curve": curve,
         "best": best,
         "seconds": seconds,

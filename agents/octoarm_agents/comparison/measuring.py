@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from octoarm_agents.common.environment import make_vector_env
+from octoarm_agents.common.environment import inspect_env, make_vector_env
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import TRIVIAL, Trivial, acting, evaluate_policy
 from octoarm_agents.policies.measures import TargetOrbit, recovery
 from octoarm_agents.policies.rollout import Noise, PolicyPredictor, Push, Rollout, roll_out
-from octoarm_env import ArmParameters
+from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 PUSHES = (5.0, 10.0, 20.0)
-"""Sizes of the push of the base [degrees]; a quarter, a half, all of the amplitude."""
+"""Sizes of the push of the base [degrees]."""
+
+SHAKES = (10.0,)
+"""Half widths of the white noise on the base's command for a second, the paper's ε [degrees]."""
 
 NOISES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 """Half widths of the white noise on the lengths that the agent sees [m]; a spring has 0.02 m."""
@@ -27,6 +33,9 @@ BURSTS = (1e-5, 1e-4, 1e-3)
 
 _BURST = (100, 100)
 """First step and number of steps of a burst; a push begins as late, and is a fifth as long."""
+
+_SHOWN = 200
+"""Control periods of a phase portrait: about three turns."""
 
 BODIES = ((0.8, 0.8), (0.8, 1.2), (1.2, 0.8), (1.2, 1.2))
 """Factors of all stiffnesses and of all dampings of the changed bodies."""
@@ -129,30 +138,23 @@ class AgentTest:
 
 
 def measure_agent(
-    parameters: ArmParameters,
-    *,
-    agent: str,
-    settings: dict[str, Any],
-    policy: str | None,
-    digest: str | None,
-    plan: dict[str, Any],
+    agent: str, policy: Path | None, arguments: Mapping[str, Any], plan: TestPlan
 ) -> dict[str, Any]:
-    """Measure an agent; a trial for `run_trials`.
+    """Measure an agent, in one thread.
 
     Args:
-        parameters: the body.
         agent: its name; ``"hold"`` and ``"clock"`` need no policy.
-        settings: of the environment.
         policy: its file.
-        digest: of that file, so that stored results are those of this very policy.
-        plan: arguments of `TestPlan`.
+        arguments: of the environment.
+        plan: how much is measured.
 
     Returns:
         Plain numbers: ``return``, ``tracking_error``, ``orbit_distance``, ``period``, ``held``,
-        ``survival``, and for every size or body ``pushes``, ``bursts``, ``noises``, ``bodies``.
+        ``survival``; for every size or body ``pushes``, ``shakes``, ``bursts``, ``noises``,
+        ``bodies``; ``inference_us``, the time of an action; and ``portrait``, the base's angles at
+        the end of the first episode [degrees].
     """
-    del digest
-    given = TestPlan(**plan)
+    parameters, settings = inspect_env(OctoArmEnv(**arguments))
     chosen: PolicyPredictor | Trivial
     if policy is not None:
         chosen = load_policy(policy, settings=settings)
@@ -160,26 +162,35 @@ def measure_agent(
         chosen = agent
     else:
         raise ValueError(f"agent = {agent!r} needs the file of its policy")
-    test = AgentTest(chosen, parameters, settings, given)
+    test = AgentTest(chosen, parameters, settings, plan)
     standard = test.measures()
-    long = test.measures(given.long_steps, given.long_steps // 3)
+    long = test.measures(plan.long_steps, plan.long_steps // 3)
     bodies: list[dict[str, Any]] = []
     for stiffness, damping in BODIES:
         body = changed_body(parameters, stiffness, damping)
-        found = AgentTest(chosen, body, settings, given).measures()
+        found = AgentTest(chosen, body, settings, plan).measures()
         kept = _selected(found, "return", "orbit_distance", "period")
         bodies.append({"stiffness": stiffness, "damping": damping, **kept})
     noises = [
         {"size": size, **_selected(test.measures(noise=Noise(size)), "return", "orbit_distance")}
         for size in NOISES
     ]
+    shakes = [Push(size, *_BURST, white=True) for size in SHAKES]
+    alone = replace(plan, episodes=1)
+    shown = AgentTest(chosen, parameters, settings, alone).run(plan.steps)
+    with closing(OctoArmVectorEnv(1, **arguments, threads=1)) as envs:
+        envs.reset(seed=0)
+        microseconds = inference_time(acting(chosen, envs), 4 * parameters.compartments)
     return {
         **_selected(standard, "return", "tracking_error"),
         **_selected(long, "orbit_distance", "period", "held", "survival"),
         "pushes": [{"size": size, **test.recovery(push=Push(size))} for size in PUSHES],
+        "shakes": [{"size": push.size, **test.recovery(push=push)} for push in shakes],
         "bursts": [{"size": size, **test.recovery(noise=Noise(size, *_BURST))} for size in BURSTS],
         "noises": noises,
         "bodies": bodies,
+        "inference_us": microseconds,
+        "portrait": shown.angles[-_SHOWN:, 0].round(2).tolist(),
     }
 
 

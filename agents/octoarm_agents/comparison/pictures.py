@@ -30,8 +30,12 @@ Row = Mapping[str, Any]
 _LOOKS = {
     "readout_pinv": (SKY, "o"),
     "readout_ridge": (BLUE, "s"),
+    "readout_noise": ("#44AA99", "h"),
+    "readout_weighted": ("#332288", "p"),
+    "readout_designed": ("#CC3377", "*"),
     "linear_search": (ORANGE, "v"),
     "ppo": (VERMILLION, "^"),
+    "ppo_noise": ("#E7B800", "H"),
     "sac": (GREEN, "D"),
     "tqc": (PURPLE, "<"),
     "recurrent_ppo": ("#8C510A", ">"),

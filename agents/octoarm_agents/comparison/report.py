@@ -26,8 +26,9 @@ def write_report(result: Mapping[str, Any]) -> str:
     back = "share of episodes back on the orbit for good, and after how many seconds"
     disturbed: tuple[tuple[str, Sequence[str], str, Callable[[Row], str]], ...] = (
         (
-            "White noise on the lengths that the agent sees, all the time: return",
-            [f"{size * 1e6:g} µm" for size in settings["noises"]],
+            "White noise on the lengths that the agent sees, all the time (in brackets the part of "
+            "the springs' own deviation on the orbit, median): return",
+            [],
             "noises",
             lambda each: _interval(each["return"], 1),
         ),
@@ -38,7 +39,13 @@ def write_report(result: Mapping[str, Any]) -> str:
             _recovery,
         ),
         (
-            f"The same noise for 1 s only: {back}",
+            f"White noise on the command of the base for 1 s, the paper's ε: {back}",
+            [f"{size:g}°" for size in settings["shakes"]],
+            "shakes",
+            _recovery,
+        ),
+        (
+            f"Noise on the lengths for 1 s only: {back}",
             [f"{size * 1e6:g} µm" for size in settings["bursts"]],
             "bursts",
             _recovery,
@@ -54,7 +61,10 @@ def write_report(result: Mapping[str, Any]) -> str:
         rows = [row for row in result["rows"] if row["target"] == target]
         lines += [f"## {target}", "", "Undisturbed, and what it cost:", ""]
         lines += _table([_undisturbed(row, settings["reached"]) for row in rows])
-        for title, header, name, write in disturbed:
+        deviation = result["deviations"][target]
+        noises = [f"{v * 1e6:g} µm ({v / deviation:.2g})" for v in settings["noises"]]
+        for title, columns, name, write in disturbed:
+            header = columns or noises
             entries = (
                 [*row[name], row["transfer"]] if name == "bodies" else row[name] for row in rows
             )
@@ -64,8 +74,6 @@ def write_report(result: Mapping[str, Any]) -> str:
                 [{"agent": row["agent"], **dict(own)} for row, own in zip(rows, cells, strict=True)]
             )
         lines.append("")
-    if result["readout_map"]:
-        lines += _readout_map(result)
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -99,35 +107,6 @@ def _body(entry: Row) -> str:
     if "period" in entry:
         cells.append(_number(entry["period"]["iqm"], 3))
     return ", ".join(cells)
-
-
-def _readout_map(result: Mapping[str, Any]) -> list[str]:
-    lines = [
-        "## The readout, taught otherwise",
-        "",
-        "κ is the noise on the teacher's actions while it is watched, ν the noise on the lengths "
-        "that the fit allows for (0: pseudo-inverse). The readouts above have κ = 0.01, and ν = 0 "
-        "and 0.01 µm. Returns, undisturbed and with noise on what the readout sees; recovered: "
-        "share of episodes back on the orbit after a push of "
-        f"{result['settings']['pushes'][1]:g}°.",
-        "",
-    ]
-    rows = [
-        {
-            "target": entry["target"],
-            "κ": f"{entry['action_noise']:g}",
-            "ν (µm)": f"{entry['noise'] * 1e6:g}",
-            "return": _number(entry["return"]["iqm"], 1),
-            "held 30 s": f"{entry['held']['iqm']:.0%}",
-            **{
-                f"at {each['size'] * 1e6:g} µm": _number(each["return"]["iqm"], 1)
-                for each in entry["noises"]
-            },
-            "recovered": f"{entry['recovered']['iqm']:.0%}",
-        }
-        for entry in result["readout_map"]
-    ]
-    return lines + _table(rows)
 
 
 def _interval(entry: Row, digits: int) -> str:

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from octoarm_agents.common.intervals import bootstrap_interval, interquartile_mean
 from octoarm_agents.comparison.agents import READOUTS, TrainingRun
-from octoarm_agents.comparison.measuring import AgentTest, TestPlan, inference_time
-from octoarm_agents.policies import load_policy
-from octoarm_agents.policies.evaluation import acting
-from octoarm_env import ArmParameters, OctoArmVectorEnv
 
 REACHED = 0.97
 """Share of the readout's return that counts as reaching it."""
 
-_SHOWN = 200
-"""Control periods of a phase portrait: about three turns."""
-
 _GIVEN = ("size", "stiffness", "damping")
 """What was set, and not measured."""
+
+_OWN = ("inference_us", "portrait")
+"""What is not summed up."""
 
 
 @dataclass(frozen=True)
@@ -31,25 +27,19 @@ class Outcome:
     """An agent on a target.
 
     Attributes:
-        agent: its name.
-        target: of the environment.
-        settings: of the environment.
-        runs: its trainings, by seed; none of an agent that is not trained.
-        trainings: their summaries.
-        measures: what `measure_agent` gave for each, or for the agent that is not trained.
+        runs: its trainings, by seed; one of an agent that is not trained.
+        trainings: what `make_agent` gave for each.
+        measures: what `measure_agent` gave for each.
     """
 
-    agent: str
-    target: str
-    settings: dict[str, Any]
     runs: Sequence[TrainingRun]
-    trainings: Sequence[dict[str, Any]]
+    trainings: Sequence[dict[str, Any] | None]
     measures: Sequence[dict[str, Any]]
 
 
-def make_rows(outcomes: Sequence[Outcome], plan: TestPlan) -> list[dict[str, Any]]:
+def make_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Sum up trainings and measures, and compare them with what the readouts earn."""
-    rows = [_row(outcome, plan) for outcome in outcomes]
+    rows = [_row(outcome) for outcome in outcomes]
     for row, outcome in zip(rows, outcomes, strict=True):
         readouts = [
             each["return"]["iqm"]
@@ -58,31 +48,24 @@ def make_rows(outcomes: Sequence[Outcome], plan: TestPlan) -> list[dict[str, Any
         ]
         best = max(readouts, default=None)
         row["share_of_readout"] = None if best is None else row["return"]["iqm"] / best
+        trainings = [each for each in outcome.trainings if each is not None]
         row["samples_to_reach"] = (
             None
-            if best is None or not outcome.trainings
-            else summary([_reached(each["curve"], REACHED * best) for each in outcome.trainings])
+            if best is None or not trainings
+            else summary([_reached(each["curve"], REACHED * best) for each in trainings])
         )
     return rows
 
 
-def _row(outcome: Outcome, plan: TestPlan) -> dict[str, Any]:
-    runs, trainings, measures = outcome.runs, outcome.trainings, outcome.measures
-    by_return = sorted(range(len(measures)), key=lambda index: measures[index]["return"])
-    middle = by_return[len(measures) // 2]
-    envs = OctoArmVectorEnv(1, outcome.target)
-    envs.reset(seed=0)
-    first, shown = (
-        load_policy(runs[index].policy) if runs else outcome.agent for index in (0, middle)
-    )
-    alone = replace(plan, episodes=1)
-    test = AgentTest(shown, ArmParameters(), outcome.settings, alone)  # type: ignore[arg-type]
-    angles = test.run(plan.steps).angles[-_SHOWN:, 0]
+def _row(outcome: Outcome) -> dict[str, Any]:
+    run, measures = outcome.runs[0], outcome.measures
+    trainings = [each for each in outcome.trainings if each is not None]
+    by_return = sorted(measures, key=lambda each: float(each["return"]))
     return {
-        "agent": outcome.agent,
-        "target": outcome.target,
-        "training_seeds": len(runs),
-        **combined(measures),
+        "agent": run.agent,
+        "target": run.target,
+        "training_seeds": len(trainings),
+        **combined([{k: each[k] for k in each if k not in _OWN} for each in measures]),
         "transfer": {
             key: summary([_mean([body[key] for body in each["bodies"]]) for each in measures])
             for key in ("return", "orbit_distance")
@@ -90,11 +73,10 @@ def _row(outcome: Outcome, plan: TestPlan) -> dict[str, Any]:
         "samples": trainings[0]["final"]["steps"] if trainings else 0,
         "training_seconds": summary([each["seconds"] for each in trainings]) if trainings else None,
         "parameters": trainings[0]["parameters"] if trainings else 0,
-        # Alone on the machine.
-        "inference_us": inference_time(acting(first, envs), envs.single_observation_space.shape[0]),  # type: ignore[arg-type, index]
-        "curves": [each["curve"] for each in trainings] if outcome.agent not in READOUTS else [],
-        # The base's angles at the end of the first episode of the training of middle return.
-        "portrait": [[round(value, 2) for value in pair] for pair in angles.tolist()],
+        "inference_us": statistics.median(each["inference_us"] for each in measures),
+        "curves": [each["curve"] for each in trainings] if run.agent not in READOUTS else [],
+        # Of the training of middle return.
+        "portrait": by_return[len(measures) // 2]["portrait"],
     }
 
 

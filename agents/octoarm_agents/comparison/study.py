@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+import json
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from octoarm_agents.common.environment import TARGETS, inspect_env
 from octoarm_agents.common.files import write_json
+from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import describe_machine, package_versions
-from octoarm_agents.common.trials import run_trials
 from octoarm_agents.common.whole import whole_fields
 from octoarm_agents.comparison.agents import (
     AGENTS,
-    READOUTS,
+    SLOW_FIRST,
     TEACHING_STEPS,
-    TRAINED,
     TrainingRun,
-    train_all,
+    make_agent,
 )
 from octoarm_agents.comparison.measuring import (
     BODIES,
     BURSTS,
     NOISES,
     PUSHES,
+    SHAKES,
     TestPlan,
     measure_agent,
 )
-from octoarm_agents.comparison.readout_map import map_readout, map_settings
-from octoarm_agents.comparison.rows import REACHED, Outcome, combined, make_rows
+from octoarm_agents.comparison.rows import REACHED, Outcome, make_rows
 from octoarm_agents.comparison.shipping import ship
-from octoarm_env import ArmParameters, OctoArmEnv
+from octoarm_agents.policies.evaluation import TRIVIAL
+from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 
-Measure = Callable[..., list[dict[str, Any]]]
-"""`run_trials` with all that trials of one comparison have in common."""
+_PACKAGES = (
+    *("octoarm-env", "octoarm-agents", "numpy", "scipy", "scikit-learn", "gymnasium"),
+    *("stable-baselines3", "sb3-contrib", "torch", "cma"),
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Comparison:
         budget: factor of all trainings' environment steps.
         plan: how much is measured.
         jobs: processes; only timings depend on it.
-        readout_map: seeds of the map of readouts; 0 leaves it out.
+        env: further arguments of the environment, as they read in JSON.
     """
 
     agents: tuple[str, ...] = AGENTS
@@ -58,7 +62,7 @@ class Comparison:
     budget: float = 1.0
     plan: TestPlan = field(default_factory=TestPlan)
     jobs: int = 1
-    readout_map: int = 3
+    env: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, given, known in (
@@ -68,7 +72,7 @@ class Comparison:
             unknown = [each for each in given if each not in known]
             if unknown or not given:
                 raise ValueError(f"{name} = {given}: expected some of {known}")
-        whole_fields(self, seeds=1, jobs=1, readout_map=0)
+        whole_fields(self, seeds=1, jobs=1)
 
     @property
     def command(self) -> str:
@@ -86,8 +90,8 @@ class Comparison:
         )
         words = [
             f"--{name} {value}"
-            for name, value in given.items()
-            if name == "seeds" or value != usual[name]
+            for name, value in (given | self.env).items()
+            if name == "seeds" or value != usual.get(name)
         ]
         return " ".join(["octoarm compare", *words])
 
@@ -95,8 +99,10 @@ class Comparison:
 def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) -> dict[str, Any]:
     """Train, measure and put side by side; write the results and ``trained/``.
 
-    Trainings are kept in ``out/runs`` and measurements in ``out/.measured``: the same call goes on
-    where it was interrupted.
+    Every training and what was measured of it is kept in ``out/results``, a file each, as soon as
+    it is finished, and what is there is not computed again: the same call goes on where it was
+    interrupted, and one with more agents, targets or seeds lets the table grow. The trainings
+    themselves are in ``out/runs``.
 
     Args:
         comparison: what to compare.
@@ -109,31 +115,34 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Raises:
         ValueError: the folder holds another comparison's trainings.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    settings = {target: inspect_env(OctoArmEnv(target))[1] for target in comparison.targets}
-    runs = {
-        (agent, target): [
-            TrainingRun(agent, target, seed, comparison.budget, out / "runs")
-            for seed in range(comparison.seeds if agent in TRAINED else 0)
+    settings = {
+        target: inspect_env(OctoArmEnv(target, **comparison.env))[1]
+        for target in comparison.targets
+    }
+    groups = [
+        [
+            TrainingRun(agent, target, seed, comparison.budget, out / "runs", comparison.env)
+            for seed in range(1 if agent in TRIVIAL else comparison.seeds)
         ]
         for target in comparison.targets
         for agent in AGENTS
         if agent in comparison.agents
-    }
-    trainings = train_all([run for own in runs.values() for run in own], comparison.jobs, progress)
-    measure = functools.partial(
-        run_trials,
-        parameters=ArmParameters(),
-        folder=out / ".measured",
-        jobs=comparison.jobs,
-        progress=progress,
-    )
-    outcomes = _make_outcomes(comparison, settings, runs, trainings, measure)
+    ]
+    results = _results([run for runs in groups for run in runs], comparison, progress)
+    outcomes = [
+        Outcome(
+            runs,
+            [results[run]["training"] for run in runs],
+            [results[run]["measures"] for run in runs],
+        )
+        for runs in groups
+    ]
     result = {
         "command": comparison.command,
         "settings": asdict(comparison)
         | {
             "pushes": PUSHES,
+            "shakes": SHAKES,
             "bursts": BURSTS,
             "noises": NOISES,
             "bodies": BODIES,
@@ -141,20 +150,10 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
             "teaching_steps": TEACHING_STEPS,
         },
         "environment": settings,
-        "rows": make_rows(outcomes, comparison.plan),
-        "readout_map": _map_readouts(comparison, measure),
+        "deviations": {target: _deviation(target, comparison.env) for target in comparison.targets},
+        "rows": make_rows(outcomes),
         "machine": describe_machine(),
-        "versions": package_versions(
-            "octoarm-env",
-            "octoarm-agents",
-            "numpy",
-            "scipy",
-            "gymnasium",
-            "stable-baselines3",
-            "sb3-contrib",
-            "torch",
-            "cma",
-        ),
+        "versions": package_versions(*_PACKAGES),
     }
     write_json(out / "compare.json", result)
     write_json(out / "summary.json", undisturbed(result))
@@ -164,7 +163,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
 
 def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
     """Give what ``summary.json`` holds: the undisturbed figures, without single trainings."""
-    lists = ("transfer", "bodies", "pushes", "bursts", "noises", "curves", "portrait")
+    lists = ("transfer", "bodies", "pushes", "shakes", "bursts", "noises", "curves", "portrait")
     rows = [
         {
             name: {key: each for key, each in entry.items() if key != "values"}
@@ -179,51 +178,55 @@ def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
     return kept | {"rows": rows}
 
 
-def _make_outcomes(
-    comparison: Comparison,
-    settings: dict[str, dict[str, Any]],
-    runs: dict[tuple[str, str], list[TrainingRun]],
-    trainings: dict[TrainingRun, dict[str, Any]],
-    measure: Measure,
-) -> list[Outcome]:
-    """Measure what was trained, and the agents that are not trained."""
-    trials = [
-        {
-            "agent": agent,
-            "settings": settings[target],
-            "policy": None if run is None else str(run.policy),
-            "digest": None if run is None else run.digest,
-            "plan": asdict(comparison.plan),
-        }
-        for (agent, target), own in runs.items()
-        for run in own or (None,)
-    ]
-    measures = iter(measure(measure_agent, settings=trials, description="measurements"))
-    return [
-        Outcome(
-            agent,
-            target,
-            settings[target],
-            own,
-            [trainings[run] for run in own],
-            [next(measures) for _ in own or (None,)],
-        )
-        for (agent, target), own in runs.items()
-    ]
+def _results(
+    runs: list[TrainingRun], comparison: Comparison, progress: bool | None
+) -> dict[TrainingRun, dict[str, Any]]:
+    """Train and measure, the slow ones first."""
+    from joblib import Parallel, delayed
+
+    runs = sorted(runs, key=lambda run: SLOW_FIRST.index(run.agent))
+    results: dict[TrainingRun, dict[str, Any]] = {}
+    with progress_bar(len(runs), "agents", shown=progress) as bar:
+        work = Parallel(n_jobs=comparison.jobs, return_as="generator_unordered")
+        for run, result in work(delayed(_result)(run, comparison.plan) for run in runs):
+            results[run] = result
+            bar.set_postfix_str(f"{run.name}: {result['measures']['return']:.1f}")
+            bar.update()
+    return results
 
 
-def _map_readouts(comparison: Comparison, measure: Measure) -> list[dict[str, Any]]:
-    count = comparison.readout_map
-    if not count or not set(comparison.agents) & set(READOUTS):
-        return []
-    points = map_settings(comparison.targets)
-    trials = [
-        {**point, "seed": seed, "plan": asdict(comparison.plan)}
-        for point in points
-        for seed in range(count)
-    ]
-    results = measure(map_readout, settings=trials, description="map of readouts")
-    return [
-        {**point, **combined(results[count * index : count * (index + 1)])}
-        for index, point in enumerate(points)
-    ]
+def _result(run: TrainingRun, plan: TestPlan) -> tuple[TrainingRun, dict[str, Any]]:
+    """What `make_agent` and `measure_agent` give, or what an earlier call has kept of it."""
+    from threadpoolctl import threadpool_limits
+
+    file = run.folder.parent / "results" / f"{run.name}.json"
+    wanted = {"budget": run.budget, "environment": run.arguments, "plan": asdict(plan)}
+    if file.exists():
+        try:
+            kept: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"{file} is damaged: {error}") from None
+        if {name: kept.get(name) for name in wanted} != wanted:
+            raise ValueError(f"{file} is of another comparison: choose another folder")
+        return run, kept
+    # Sums split over threads are rounded otherwise.
+    with threadpool_limits(1):
+        training = make_agent(run)
+        policy = None if training is None else run.policy
+        measures = measure_agent(run.agent, policy, run.arguments, plan)
+    machine = {"machine": describe_machine(), "versions": package_versions(*_PACKAGES)}
+    result = {**wanted, "training": training, "measures": measures, **machine}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_json(file, result)
+    return run, result
+
+
+def _deviation(target: str, env: dict[str, Any]) -> float:
+    """Median over the springs of their standard deviation on the clock's orbit [m]."""
+    with closing(OctoArmVectorEnv(1, target, **env, threads=1)) as envs:
+        lengths, _ = envs.reset(seed=0)
+        rows = []
+        for _ in range(500):
+            rows.append(lengths[0])
+            lengths, *_ = envs.step(envs.teacher_actions().astype(np.float32))
+    return float(np.median(np.std(rows, axis=0)))

@@ -54,11 +54,14 @@ class Push:
         size: added to the command, in a direction drawn for each episode [degrees].
         begin: first step of it.
         steps: number of steps.
+        white: whether the base is shaken instead: both entries of the command get white noise of
+            this half width, as the paper's bursts ε (section 3.2).
     """
 
     size: float
     begin: int = 100
     steps: int = 20
+    white: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.size < float("inf"):
@@ -165,7 +168,8 @@ class Episodes:
         directions = self._random.uniform(0, 2 * np.pi, count)
         self._offsets = np.stack((np.cos(directions), np.sin(directions)), axis=1)
         if push is not None:
-            self._offsets *= push.size / np.array(envs.get_attr("action_range"))[:, np.newaxis]
+            self._reach = push.size / np.array(envs.get_attr("action_range"))[:, np.newaxis]
+            self._offsets *= self._reach
         self._running = np.ones(count, dtype=bool)
         self.rollout = Rollout(
             rewards=np.zeros(shape),
@@ -187,6 +191,8 @@ class Episodes:
         chosen, self._state = self._policy.predict(seen, state=self._state, episode_start=starts)
         command = np.asarray(chosen, dtype=np.float32)
         if self.push is not None and self.push.at(step):
+            if self.push.white:
+                self._offsets = self._reach * self._random.uniform(-1, 1, command.shape)
             command = np.clip(command + self._offsets, -1, 1).astype(np.float32)
         running = self._running
         self.lengths, rewards, terminated, _, self.infos = self.envs.step(command)

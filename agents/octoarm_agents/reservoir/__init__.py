@@ -3,7 +3,7 @@
 from octoarm_agents.common.orbit import orbit_distance, turn_time
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release
 from octoarm_agents.reservoir.floquet import floquet_exponents
-from octoarm_agents.reservoir.loop_design import LoopModel, design, design_policy
+from octoarm_agents.reservoir.loop_design import LoopModel, design, design_policy, weighted_policy
 from octoarm_agents.reservoir.policy import ReadoutPolicy, readout_network, train_policy
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_agents.reservoir.teaching import Taught, Teaching, teach
@@ -27,4 +27,5 @@ __all__ = [
     "train_policy",
     "tune",
     "turn_time",
+    "weighted_policy",
 ]

@@ -107,6 +107,18 @@ class LoopModel:
         return cls(EpisodeSettings(**arguments | actual), lengths, clock, tuple(responses))
 
     @property
+    def steps(self) -> int:
+        """Environment steps that were watched."""
+        return len(self.lengths) * (2 * len(self.lengths) + 1)
+
+    def policy(self, readout: Readout, training: Mapping[str, Any], seed: int) -> Policy:
+        """Give a readout as an agent of this environment, with what is told of its making."""
+        settings = {name: getattr(self.settings, name) for name in SETTINGS}
+        network = readout_network(readout)
+        training = {**training, "steps": self.steps}
+        return Policy(network, "readout", self.settings.arm, settings, training, seed)
+
+    @property
     def width(self) -> float:
         """w, the error at which the reward has fallen to 1/e [of the action range]."""
         settings = self.settings
@@ -259,8 +271,41 @@ def design_policy(
         "noises": list(noises),
         "expected_shares": shares,
         "iterations": iterations,
-        "steps": periods * (2 * periods + 1),
     }
-    settings = {name: getattr(model.settings, name) for name in SETTINGS}
-    network = readout_network(readout)
-    return Policy(network, "readout", model.settings.arm, settings, training, seed)
+    return model.policy(readout, training, seed)
+
+
+def weighted_policy(
+    env: Mapping[str, Any] | None = None,
+    *,
+    noise: float = 1e-5,
+    error: float = 1e-2,
+    periods: int = 200,
+    seed: int = 0,
+) -> Policy:
+    """Fit a ridge weighted by the body's own deviations, as an agent.
+
+    Beside white noise on the lengths the fit allows for what the lengths are off by when the
+    command is, every period by a random error of its own.
+
+    Args:
+        env: keyword arguments of ``gym.make("OctoArm-v0")``; None: its defaults.
+        noise: ν, half width of the noise on the lengths [m].
+        error: κ, root mean square of the errors of the command [of the action range].
+        periods: T, control periods of the episodes that are watched; the answers to errors are
+            taken from the second half.
+        seed: draws the phase at which the episodes begin.
+
+    Raises:
+        ValueError, TypeError: an argument that cannot be.
+    """
+    if not 0 <= error < 1:
+        raise ValueError(f"error = {error}: expected a part of the action range, from 0 to 1")
+    model = LoopModel.measure(EpisodeSettings(**(env or {})), periods, seed=seed)
+    answers = np.concatenate([each.T for each in model.responses[periods // 2 :]])
+    # As many in effect as the rows of the orbit.
+    answers *= error * np.sqrt(periods / (periods - periods // 2))
+    with threadpool_limits(1):
+        readout = Readout("noise", noise=noise, bias=True)
+        readout.fit(model.lengths, model.actions, penalty=np.linalg.qr(answers, mode="r"))
+    return model.policy(readout, {"noise": noise, "error": error}, seed)

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
 
 from octoarm_agents.common.environment import ENV_ID, inspect_env, make_vector_env
 from octoarm_agents.common.files import write_atomically, write_json
@@ -54,6 +54,8 @@ class Training:
         episodes: of each evaluation.
         env: further arguments of the environment.
         hyperparameters: as in their file, under the environment's id.
+        noise: half width of white noise on the lengths that are trained with [m]; evaluations have
+            none.
 
     Raises:
         ValueError: a number out of its range, or an unknown algorithm.
@@ -68,9 +70,12 @@ class Training:
     episodes: int
     env: dict[str, Any]
     hyperparameters: dict[str, Any]
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         algorithm_class(self.algorithm)
+        if not 0 <= self.noise < 1:
+            raise ValueError(f"noise = {self.noise}: expected a number of metres from 0 to 1")
         whole_fields(self, steps=1, seed=0, num_envs=1, evaluations=1, episodes=1)
 
     @classmethod
@@ -86,6 +91,7 @@ class Training:
         episodes: int = JUDGED_EPISODES,
         env: Mapping[str, Any] | None = None,
         hyperparameters: Hyperparameters | None = None,
+        noise: float = 0.0,
     ) -> Training:
         """Describe a training; what is not given stands in the algorithm's own file."""
         given = hyperparameters or Hyperparameters.load(algorithm)
@@ -99,6 +105,7 @@ class Training:
             episodes,
             dict(env or {}),
             given.entries(),
+            noise,
         )
 
 
@@ -171,6 +178,25 @@ def train(
         return run.run(saved, tensorboard)
 
 
+class _NoisyLengths(VecEnvWrapper):
+    """White noise on every length, drawn where stable-baselines3 draws, and so saved with it."""
+
+    def __init__(self, venv: Any, size: float) -> None:
+        super().__init__(venv)
+        self.size = size
+
+    def reset(self) -> Any:
+        return self._noisy(self.venv.reset())
+
+    def step_wait(self) -> Any:
+        lengths, *rest = self.venv.step_wait()
+        return self._noisy(lengths), *rest
+
+    def _noisy(self, lengths: Any) -> Any:
+        drawn = np.random.uniform(-self.size, self.size, lengths.shape)  # noqa: NPY002
+        return (lengths + drawn).astype(lengths.dtype)
+
+
 class _Run(BaseCallback):
     """A training under way; it evaluates and saves between rollouts, when nothing is half done."""
 
@@ -188,8 +214,9 @@ class _Run(BaseCallback):
             training.num_envs, seed=training.seed, **{"threads": 1, **given.env, **arguments}
         )
         self.monitor = VecMonitor(self.arms)
+        self.seen = _NoisyLengths(self.monitor, training.noise) if training.noise else self.monitor
         normalize = {"gamma": given.arguments.get("gamma", 0.99), **given.normalize}
-        self.envs = VecNormalize(self.monitor, **normalize)
+        self.envs = VecNormalize(self.seen, **normalize)
         self.parameters, self.settings = inspect_env(gym.make(ENV_ID, **arguments))
         self.judges = make_vector_env(
             training.episodes, self.parameters, self.settings, steps=JUDGED_STEPS, threads=1
@@ -318,7 +345,7 @@ class _Run(BaseCallback):
         # The arms must have begun before they can go on.
         self.monitor.reset()
         self.envs = saved["normalization"]
-        self.envs.set_venv(self.monitor)
+        self.envs.set_venv(self.seen)
         self.model = saved["load"](kind, self.envs)
         self.arms.vector_env.unwrapped.restore(saved["arms"])
         self.envs.returns = saved["normalized_returns"]
@@ -343,6 +370,7 @@ def _plain(training: Training) -> dict[str, Any]:
 
 def _check_same(file: Path, saved: dict[str, Any], wanted: dict[str, Any], extended: bool) -> None:
     """Raise a ValueError where two trainings differ, but for their length if one is extended."""
+    saved = {"noise": 0.0, **saved}  # of before there was any
     if extended:
         saved, wanted = (_without_length(each) for each in (saved, wanted))
     found = [
