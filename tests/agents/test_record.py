@@ -483,7 +483,7 @@ class TestFiles:
         ("kind", "size", "reason"),
         [
             (".png", 4096, "[Errno 27] File too large"),
-            (".rrd", 100_000, "not all of it could be written"),
+            (".rrd", 100_000, "[Errno 27] File too large"),
         ],
     )
     def test_a_full_disk_and_other_files(self, octoarm, kept, kind, size, reason):
