@@ -242,7 +242,9 @@ class TestLinearSearch:
         assert policy.parameter_count == 162
 
     def test_the_same_seed_finds_the_same(self, tmp_path: Path) -> None:
-        search = LinearSearch("lissajous", steps=1000, population=4, episodes=2, episode_steps=20)
+        search = LinearSearch(
+            "lissajous", steps=1000, population=4, episodes=2, episode_steps=20, evaluations=4
+        )
         curves = []
         for run in range(2):
             found = search_linear(search, tmp_path / str(run))

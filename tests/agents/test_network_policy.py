@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from octoarm_agents.policies import Lstm, Network, Policy, load_policy
+from octoarm_agents.policies.network import Past
 from octoarm_agents.reservoir import Readout, readout_network
 
 from octoarm_env import ArmParameters
@@ -25,6 +26,9 @@ SETTINGS = {
     "actuator": "direct",
     "action_range": 117.0,
 }
+
+
+SCALE = np.full(SPRINGS, 20.0)
 
 
 def make_network(
@@ -49,7 +53,7 @@ def make_network(
         "layers": layers,
         "activation": "tanh",
         "output": output,
-        "lstm": lstm,
+        "memory": lstm,
     }
     return Network(**(fields | changes))
 
@@ -102,6 +106,37 @@ def test_memory_is_carried_and_emptied() -> None:
     third, _ = policy.predict(rows, state, np.array([True, False]))
     np.testing.assert_array_equal(third[0], first[0])
     assert not np.allclose(third[1], first[1])
+
+
+def test_the_past_is_carried_and_begins_anew(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    layer = (random.normal(size=(2, 3 * SPRINGS)), random.normal(size=2))
+    whole = Network(np.full(SPRINGS, 0.02), SCALE, 1e9, (layer,), memory=Past(2))
+    policy = make_policy(whole)
+    policy.save(tmp_path / "past.npz")
+    policy = Policy.load(tmp_path / "past.npz")
+    assert policy.network.memory == Past(2)
+    assert policy.parameter_count == 2 * (3 * SPRINGS + 1)
+    rows, state, seen = lengths(5, 2), None, []
+    begins = np.array([[True, True], [False, False], [False, False], [False, True], [False, False]])
+    for now, begin in zip(rows, begins, strict=True):
+        action, state = policy.predict(now, state, begin)
+        seen.append(action)
+
+    def expected(*latest_first: int, episode: int) -> np.ndarray:
+        read = np.concatenate([(rows[step, episode] - 0.02) * SCALE for step in latest_first])
+        return np.clip(layer[0] @ read + layer[1], -1, 1)
+
+    for step, episode, read in (
+        (0, 0, (0, 0, 0)),
+        (1, 0, (1, 0, 0)),
+        (4, 0, (4, 3, 2)),
+        (3, 1, (3, 3, 3)),
+        (4, 1, (4, 3, 3)),
+    ):
+        np.testing.assert_allclose(
+            seen[step][episode], expected(*read, episode=episode), rtol=1e-5, atol=1e-6
+        )
 
 
 def test_parameters_are_counted() -> None:

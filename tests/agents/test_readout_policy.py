@@ -3,7 +3,8 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from octoarm_agents.policies import load_policy
+from octoarm_agents.policies import evaluation, load_policy
+from octoarm_agents.policies.rollout import Noise
 from octoarm_agents.reservoir import Readout, train_policy
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -99,9 +100,23 @@ class TestTeaching:
         }
         assert policy.predict(np.full(40, 0.02))[0].shape == (2,)
 
+    def test_with_its_past_it_hears_less_noise(self, policy):
+        longer = train_policy(noise=1e-5, past=4)
+        assert longer.training["past"] == 4
+        assert longer.parameter_count in (800, 802)
+        alone = train_policy(noise=1e-5)
+        returns = [
+            evaluation.evaluate_policy(each, each, episodes=8, noise=Noise(1e-4))["return"]
+            for each in (alone, longer)
+        ]
+        assert returns[1] > returns[0]
+        assert evaluation.evaluate_policy(longer, longer, episodes=4)["return"] > 490
+
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
+            ({"past": -1}, "past = -1"),
+            ({"steps": 239, "past": 2}, "steps = 239: expected a whole number, at least 240"),
             ({"steps": 79}, "steps = 79: expected a whole number, at least 80"),
             ({"steps": 100.5}, "steps = 100.5"),
             ({"action_noise": 1.5}, "action_noise = 1.5.*0 to 1"),
@@ -142,6 +157,7 @@ def test_what_was_saved_acts_the_same(policy, env, tmp_path):
         "steps": 3500,
         "action_noise": 0.01,
         "readout": Readout("noise", noise=1e-8).get_params(),
+        "past": 0,
         "rank": 80,
         "training_error": pytest.approx(0.002, rel=0.5),
     }

@@ -60,7 +60,7 @@ def make_recurrent():
         layers=((draw(2, 16), draw(2)),),
         activation="tanh",
         output="tanh",
-        lstm=Lstm(draw(64, 80), draw(64, 16), draw(64)),
+        memory=Lstm(draw(64, 80), draw(64, 16), draw(64)),
     )
     return Policy(network, "random", ArmParameters(), settings)
 

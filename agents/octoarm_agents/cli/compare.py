@@ -50,7 +50,7 @@ def compare(
     episodes: return, tracking error, orbit and period, survival, recovery
     after pushes and noise, other bodies, cost. The agents: readout_pinv,
     readout_ridge, readout_noise, readout_weighted, readout_designed,
-    linear_search, ppo, ppo_noise, sac, tqc, recurrent_ppo, hold, clock.
+    readout_past, linear_search, ppo, ppo_noise, sac, tqc, recurrent_ppo, hold, clock.
 
     What is finished is kept in OUT/results: the same call goes on where it
     was interrupted, and with more agents, targets or seeds the table grows.

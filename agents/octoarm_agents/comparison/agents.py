@@ -25,6 +25,7 @@ READOUTS = (
     "readout_noise",
     "readout_weighted",
     "readout_designed",
+    "readout_past",
 )
 NETWORKS = ("ppo", "ppo_noise", "sac", "tqc", "recurrent_ppo")
 TRAINED = (*READOUTS, "linear_search", *NETWORKS)
@@ -37,8 +38,16 @@ TEACHING_STEPS = 3500
 ACTION_NOISE = 0.01
 """Half width of the noise on the teacher's actions, so that the body is seen beside its orbit."""
 
-RIDGE_NOISES = {"readout_pinv": 0.0, "readout_ridge": 1e-8, "readout_noise": 1e-5}
+RIDGE_NOISES = {
+    "readout_pinv": 0.0,
+    "readout_ridge": 1e-8,
+    "readout_noise": 1e-5,
+    "readout_past": 1e-5,
+}
 """ν of the fitted readouts [m]: the fit allows for white noise in [-ν, ν] on the lengths."""
+
+PAST = 4
+"""Past lengths of each spring that `readout_past` reads."""
 
 TRAINING_NOISE = 3e-5
 """Half width of the white noise on the lengths that `ppo_noise` is trained with [m]."""
@@ -166,4 +175,5 @@ def _fit_readout(run: TrainingRun) -> Policy:
         action_noise=ACTION_NOISE,
         seed=run.seed,
         readout=Readout("noise", noise=noise, bias=True) if noise else Readout("pinv", bias=True),
+        past=PAST if run.agent == "readout_past" else 0,
     )

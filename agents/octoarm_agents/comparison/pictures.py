@@ -33,6 +33,7 @@ _LOOKS = {
     "readout_noise": ("#44AA99", "h"),
     "readout_weighted": ("#332288", "p"),
     "readout_designed": ("#CC3377", "*"),
+    "readout_past": ("#999933", "X"),
     "linear_search": (ORANGE, "v"),
     "ppo": (VERMILLION, "^"),
     "ppo_noise": ("#E7B800", "H"),

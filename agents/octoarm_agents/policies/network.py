@@ -59,6 +59,27 @@ class Lstm:
         return _sigmoid(shown) * np.tanh(cell), cell
 
 
+@dataclass(frozen=True)
+class Past:
+    """The last observations beside the present one: a memory that is not the body's.
+
+    Attributes:
+        count: k, past observations.
+    """
+
+    count: int
+
+    def step(self, inputs: Numbers, state: State | None) -> State:
+        """Put an observation (n, inputs) before the last k; at the begin it stands for them too."""
+        rows, width = inputs.shape
+        seen = np.tile(inputs, self.count + 1)
+        if state is not None:
+            # Of an episode that has just begun it is empty.
+            going_on = state[0].any(axis=1)
+            seen[going_on, width:] = state[0][going_on, : self.count * width]
+        return seen, np.zeros((rows, 0))
+
+
 @dataclass(frozen=True, eq=False)
 class Network:
     """From spring lengths to the two entries of an action.
@@ -75,7 +96,7 @@ class Network:
         layers: weights (out, in) and bias (out,) of each, from the first to the last.
         activation: one of `ACTIVATIONS`.
         output: one of `OUTPUTS`.
-        lstm: memory before the first layer, or None.
+        memory: before the first layer, or None.
     """
 
     mean: NDArray[np.float64]
@@ -84,7 +105,7 @@ class Network:
     layers: tuple[tuple[Numbers, Numbers], ...]
     activation: str = "tanh"
     output: str = "clip"
-    lstm: Lstm | None = None
+    memory: Lstm | Past | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("activation", ACTIVATIONS), ("output", OUTPUTS)):
@@ -100,9 +121,11 @@ class Network:
                 "expected (springs,)"
             )
         width = self.springs
-        if self.lstm is not None:
-            size = self.lstm.size
-            shapes = [each.shape for each in vars(self.lstm).values()]
+        if isinstance(self.memory, Past):
+            width *= 1 + self.memory.count
+        elif self.memory is not None:
+            size = self.memory.size
+            shapes = [each.shape for each in vars(self.memory).values()]
             if shapes != [(4 * size, width), (4 * size, size), (4 * size,)]:
                 raise ValueError(f"lstm has shapes {shapes}, which do not fit {width} springs")
             width = size
@@ -140,8 +163,8 @@ class Network:
         """Act on lengths (n, springs) [m]; actions (n, 2) in [-1, 1], and the next memory."""
         normalised = np.clip((lengths - self.mean) * self.scale, -self.clip, self.clip)
         values: Numbers = normalised.astype(self.layers[0][0].dtype)
-        if self.lstm is not None:
-            state = self.lstm.step(values, state)
+        if self.memory is not None:
+            state = self.memory.step(values, state)
             values = state[0]
         *hidden, (weights, bias) = self.layers
         for hidden_weights, hidden_bias in hidden:
@@ -154,8 +177,8 @@ class Network:
         found: dict[str, Numbers] = {"mean": self.mean, "scale": self.scale}
         for index, (weights, bias) in enumerate(self.layers):
             found |= {f"weights_{index}": weights, f"bias_{index}": bias}
-        if self.lstm is not None:
-            found |= {f"lstm_{name}": each for name, each in vars(self.lstm).items()}
+        if isinstance(self.memory, Lstm):
+            found |= {f"lstm_{name}": each for name, each in vars(self.memory).items()}
         return found
 
     def describe(self) -> dict[str, Any]:
@@ -165,7 +188,8 @@ class Network:
             "output": self.output,
             "clip": self.clip,
             "layers": len(self.layers),
-            "memory": 0 if self.lstm is None else self.lstm.size,
+            "memory": self.memory.size if isinstance(self.memory, Lstm) else 0,
+            "past": self.memory.count if isinstance(self.memory, Past) else 0,
         }
 
     @classmethod
@@ -179,9 +203,14 @@ class Network:
         if not isinstance(count, int) or not 0 < count <= 64:
             raise ValueError(f"network: layers = {count!r}, expected 1 to 64")
         try:
-            lstm = None
-            if description["memory"]:
-                lstm = Lstm(*(arrays[f"lstm_{field.name}"] for field in fields(Lstm)))
+            memory: Lstm | Past | None = None
+            past = description.get("past", 0)
+            if past:
+                if not isinstance(past, int) or not 0 < past <= 1000:
+                    raise ValueError(f"network: past = {past!r}, expected 0 to 1000")
+                memory = Past(past)
+            elif description["memory"]:
+                memory = Lstm(*(arrays[f"lstm_{field.name}"] for field in fields(Lstm)))
             return cls(
                 mean=arrays["mean"],
                 scale=arrays["scale"],
@@ -189,7 +218,7 @@ class Network:
                 layers=tuple((arrays[f"weights_{k}"], arrays[f"bias_{k}"]) for k in range(count)),
                 activation=description["activation"],
                 output=description["output"],
-                lstm=lstm,
+                memory=memory,
             )
         except KeyError as error:
             raise ValueError(f"{error} is missing") from None

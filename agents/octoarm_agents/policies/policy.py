@@ -95,7 +95,7 @@ class Policy:
             )
         if not np.isfinite(lengths).all():
             raise ValueError("observation holds numbers that are not finite")
-        if self.network.lstm is not None and state is not None and episode_start is not None:
+        if self.network.memory is not None and state is not None and episode_start is not None:
             going_on = 1 - np.asarray(episode_start, dtype=np.float32).reshape(-1, 1)
             state = tuple(each * going_on for each in state)
         actions, state = self.network.actions(np.atleast_2d(lengths), state)

@@ -11,7 +11,7 @@ import numpy as np
 
 from octoarm_agents.common.environment import ENV_ID, Env, check_spaces, inspect_env
 from octoarm_agents.common.whole import whole_number
-from octoarm_agents.policies.network import Network
+from octoarm_agents.policies.network import Network, Past
 from octoarm_agents.policies.policy import Policy
 from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import TeacherPolicy
@@ -21,21 +21,28 @@ ReadoutPolicy = Policy
 """Its name before networks were the same."""
 
 
-def readout_network(readout: Readout) -> Network:
+def readout_network(readout: Readout, past: int = 0) -> Network:
     """Give a fitted readout, from the spring lengths [m] to the two entries of an action, as layer.
 
     It has no clock and no memory: the body alone tells it the phase of the motion.
+
+    Args:
+        readout: fitted.
+        past: k, if it reads the last k lengths of each spring too, the latest first. That is a
+            memory outside the body.
 
     Raises:
         ValueError: a readout that is not fitted, or has other than two outputs.
     """
     if not hasattr(readout, "weights_"):
         raise ValueError("readout is not fitted: expected one after fit")
-    springs = readout.n_features_in_
+    inputs = readout.n_features_in_
+    springs = inputs // (past + 1)
     # A view, so that its numbers keep their places: in another order they are summed otherwise.
-    layer = readout.weights_[:springs].T, readout.weights_[springs:].sum(axis=0)
+    layer = readout.weights_[:inputs].T, readout.weights_[inputs:].sum(axis=0)
     limit = float(np.finfo(np.float64).max)
-    return Network(np.zeros(springs), np.ones(springs), limit, (layer,))
+    memory = Past(past) if past else None
+    return Network(np.zeros(springs), np.ones(springs), limit, (layer,), memory=memory)
 
 
 def train_policy(
@@ -46,6 +53,7 @@ def train_policy(
     noise: float = 1e-8,
     seed: int = 0,
     readout: Readout | None = None,
+    past: int = 0,
 ) -> Policy:
     """Teach a readout to do what the lead-compensated clock does, from the lengths alone.
 
@@ -63,6 +71,8 @@ def train_policy(
         noise: ν, half width of the noise on the lengths that the fit allows for [m], see `Readout`.
         seed: of the environment and of the noise on the actions.
         readout: fit this one instead of ``Readout("noise", noise=noise)``; it is fitted in place.
+        past: k, past lengths of each spring that it reads too, a memory outside the body; the last
+            k control periods.
 
     Returns:
         The policy, with the environment's settings.
@@ -89,17 +99,22 @@ def train_policy(
     with opened as used:
         parameters, settings = inspect_env(used)
         check_spaces(used)
-        # At least one for each spring.
-        steps = whole_number("steps", steps, 4 * parameters.compartments)
-        readout.fit(*_follow_teacher(used, steps, action_noise, seed))
+        # At least one for each number that is read.
+        past = whole_number("past", past)
+        steps = whole_number("steps", steps, 4 * parameters.compartments * (past + 1))
+        lengths, actions = _follow_teacher(used, steps, action_noise, seed)
+    # The latest first; a row that reaches back beyond an episode's begin is one of many.
+    read = [lengths[past - back : steps - back] for back in range(past + 1)]
+    readout.fit(np.hstack(read), actions[past:])
     training = {
         "steps": steps,
         "action_noise": action_noise,
         "readout": readout.get_params(),
         "rank": readout.rank_,
         "training_error": readout.training_error_,
+        "past": past,
     }
-    return Policy(readout_network(readout), "readout", parameters, settings, training, seed)
+    return Policy(readout_network(readout, past), "readout", parameters, settings, training, seed)
 
 
 def _follow_teacher(env: Env, steps: int, action_noise: float, seed: int) -> tuple[Float, Float]:
