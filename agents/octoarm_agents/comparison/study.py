@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from octoarm_agents.common.environment import TARGETS, inspect_env
-from octoarm_agents.common.files import write_json
+from octoarm_agents.common.files import write_json, write_text
 from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
@@ -217,7 +217,7 @@ def _result(run: TrainingRun, plan: TestPlan) -> tuple[TrainingRun, dict[str, An
     machine = {"machine": describe_machine(), "versions": package_versions(*_PACKAGES)}
     result = {**wanted, "training": training, "measures": measures, **machine}
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_json(file, result)
+    write_text(file, json.dumps(result, allow_nan=False) + "\n")  # in a line: they are many
     return run, result
 
 

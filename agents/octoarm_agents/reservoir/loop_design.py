@@ -42,7 +42,7 @@ from octoarm_agents.reservoir.readout import Readout
 from octoarm_env import EpisodeSettings, OctoArmVectorEnv
 from octoarm_env.arrays import Float
 
-NOISES = (0.0, 1e-6, 1e-5)
+NOISES = (0.0, 1e-6, 1e-5, 3e-5)
 """Half widths of the noise on the lengths that a readout is designed for [m]."""
 
 _RIDGES = (1e-7, 3e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)
