@@ -193,11 +193,16 @@ def test_trivial_agents_alone(
     short = functools.partial(TestPlan, steps=50, long_steps=50, after=50)
     monkeypatch.setattr(octoarm_agents.comparison, "TestPlan", short)
     arguments = ("--agents", "hold", "--targets", "lissajous", "--episodes", 1, "--jobs", 1)
-    done = octoarm("compare", *arguments, "--out", tmp_path)
+    body = ("--amplitude", 20, "--arm", "inertial", "--actuator", "servo")
+    done = octoarm("compare", *arguments, *body, "--out", tmp_path)
     assert done.exit_code == 0, done.output
     assert "hold" in done.output
     listed = json.loads((tmp_path / "trained" / "trained.json").read_text(encoding="utf-8"))
     assert listed["agents"] == []
+    content = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
+    assert content["environment"]["lissajous"]["amplitude"] == 20.0
+    assert content["environment"]["lissajous"]["actuator"] == "servo"
+    assert content["command"].endswith("--amplitude 20.0 --arm inertial --actuator servo")
     assert "| hold |" in (tmp_path / "compare.md").read_text(encoding="utf-8")
     assert (tmp_path / "returns.png").stat().st_size > 10_000
 

@@ -167,6 +167,13 @@ def test_noise_is_trained_with_and_resumed(tmp_path: Path, whole: Any) -> None:
         small("ppo", noise=-1e-6)
 
 
+def test_the_body_is_named(tmp_path: Path) -> None:
+    env = {"arm": "inertial", "actuator": "servo", "amplitude": 20.0}
+    summary = train(small("ppo", env=env), tmp_path)
+    assert summary["training"]["env"] == env
+    assert load_policy(tmp_path / "best.npz").parameters == ArmParameters.preset("inertial")
+
+
 def test_broken_off_before_the_first_evaluation(tmp_path: Path, whole: Any) -> None:
     training = small("ppo")
     train_and_break(training, tmp_path, 0)

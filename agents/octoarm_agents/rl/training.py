@@ -362,7 +362,7 @@ class _Run(BaseCallback):
 def _plain(training: Training) -> dict[str, Any]:
     """A training as it reads in JSON."""
     content = asdict(training)
-    if "arm" in content["env"]:
+    if not isinstance(training.env.get("arm", ""), str):
         content["env"] = {**training.env, "arm": training.env["arm"].to_dict()}
     plain: dict[str, Any] = json.loads(json.dumps(content, allow_nan=False))
     return plain
