@@ -20,7 +20,7 @@ AGENTS: list[dict[str, Any]] = LISTED["agents"]
 
 
 def test_all_are_there() -> None:
-    expected = set(itertools.product((*READOUTS, "ppo"), TARGETS))
+    expected = set(itertools.product((*READOUTS, "ppo", "ppo_noise"), TARGETS))
     assert set(trained_agents()) == expected
     assert {(each["agent"], each["target"]) for each in AGENTS} == expected
     assert max(path.stat().st_size for path in trained_agents().values()) < 300_000
