@@ -27,21 +27,6 @@ def test_all_are_there() -> None:
 
 
 @pytest.mark.parametrize("entry", AGENTS, ids=lambda each: each["file"])
-def test_it_keeps_to_its_orbit(entry: dict[str, Any]) -> None:
-    policy = load_trained(entry["agent"], entry["target"])
-    found = evaluate_policy(policy, policy, threads=1, episodes=4, steps=100, seed=10_000)
-    # What strays, strays with time; and the first steps are dearer than others.
-    assert found["return"] >= entry["return"] / 5 - 1
-
-
-@pytest.mark.parametrize(
-    "entry",
-    [
-        pytest.param(each, marks=() if each["target"] == "lissajous" else pytest.mark.long)
-        for each in AGENTS
-    ],
-    ids=lambda each: each["file"],
-)
 def test_it_earns_what_is_recorded(entry: dict[str, Any]) -> None:
     policy = load_trained(entry["agent"], entry["target"])
     assert policy.seed == entry["seed"]
