@@ -30,7 +30,7 @@ WHOLE = Comparison(
     budget=0.004,
     plan=TestPlan(episodes=1, steps=120, long_steps=300, after=250),
 )
-LEFT_OUT = (*READOUTS[1:], *NETWORKS[1:])
+LEFT_OUT = (*READOUTS[1:], *tuple(NETWORKS)[1:])
 SLICE = replace(WHOLE, agents=tuple(agent for agent in AGENTS if agent not in LEFT_OUT))
 """One of each kind."""
 

@@ -49,12 +49,14 @@ def compare(
     Trains several times on each target, and measures all agents on the same
     episodes: return, tracking error, orbit and period, survival, recovery
     after pushes and noise, other bodies, cost. The agents: readout_pinv,
-    readout_ridge, readout_noise, readout_weighted, readout_designed,
-    readout_past, linear_search, ppo, ppo_noise, sac, tqc, recurrent_ppo, hold, clock.
+    readout_ridge, readout_noise, readout_weighted, readout_aggregated,
+    readout_designed, readout_past, linear_search, ppo, ppo_noise, sac, tqc,
+    recurrent_ppo, hold, clock.
 
     What is finished is kept in OUT/results: the same call goes on where it
     was interrupted, and with more agents, targets or seeds the table grows.
-    All together take two to three hours on two cores.
+    All together take about four hours on two cores; from the results in
+    docs/comparison, with --out docs/comparison, a minute.
     """
     with need_extra("rl"):
         import octoarm_agents.rl  # noqa: F401

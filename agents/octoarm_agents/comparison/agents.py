@@ -17,17 +17,32 @@ from octoarm_agents.policies.evaluation import (
     TRIVIAL,
     evaluate_policy,
 )
-from octoarm_agents.reservoir import Readout, design_policy, train_policy, weighted_policy
+from octoarm_agents.reservoir import (
+    Readout,
+    aggregated_policy,
+    design_policy,
+    train_policy,
+    weighted_policy,
+)
 
 READOUTS = (
     "readout_pinv",
     "readout_ridge",
     "readout_noise",
     "readout_weighted",
+    "readout_aggregated",
     "readout_designed",
     "readout_past",
 )
-NETWORKS = ("ppo", "ppo_noise", "sac", "tqc", "recurrent_ppo")
+NETWORKS = {
+    "ppo": ("ppo", 0.0),
+    "ppo_noise": ("ppo", 3e-5),
+    "sac": ("sac", 0.0),
+    "tqc": ("tqc", 0.0),
+    "recurrent_ppo": ("recurrent_ppo", 0.0),
+}
+"""Algorithm of each, and half width of the white noise on the lengths in its training [m]."""
+
 TRAINED = (*READOUTS, "linear_search", *NETWORKS)
 AGENTS = (*TRAINED, *TRIVIAL)
 """In the order of the tables."""
@@ -48,9 +63,6 @@ RIDGE_NOISES = {
 
 PAST = 4
 """Past lengths of each spring that `readout_past` reads."""
-
-TRAINING_NOISE = 3e-5
-"""Half width of the white noise on the lengths that `ppo_noise` is trained with [m]."""
 
 SLOW_FIRST = (
     *("recurrent_ppo", "tqc", "sac", "ppo_noise", "ppo", "linear_search"),
@@ -108,9 +120,9 @@ class TrainingRun:
     def command(self) -> str:
         """What makes this very agent on the default body."""
         if self.agent in NETWORKS:
-            algorithm, _, noisy = self.agent.partition("_noise")
-            noise = f" --noise {TRAINING_NOISE:g}" if self.agent == "ppo_noise" else noisy
-            return f"octoarm train {algorithm} --target {self.target} --seed {self.seed}{noise}"
+            algorithm, noise = NETWORKS[self.agent]
+            noisy = f" --noise {noise:g}" if noise else ""
+            return f"octoarm train {algorithm} --target {self.target} --seed {self.seed}{noisy}"
         return (
             f"octoarm compare --agents {self.agent} --targets {self.target} --seeds {self.seed + 1}"
         )
@@ -142,8 +154,7 @@ def make_agent(run: TrainingRun) -> dict[str, Any] | None:
 def _train_network(run: TrainingRun) -> dict[str, Any]:
     from octoarm_agents.rl import Hyperparameters, Training, train
 
-    noise = TRAINING_NOISE if run.agent == "ppo_noise" else 0.0
-    algorithm = "ppo" if noise else run.agent
+    algorithm, noise = NETWORKS[run.agent]
     steps = max(round(run.budget * Hyperparameters.load(algorithm).steps), 1)
     training = Training.make(
         algorithm, run.target, steps=steps, seed=run.seed, noise=noise, env=run.env
@@ -166,6 +177,8 @@ def _make_readout(run: TrainingRun) -> dict[str, Any]:
 def _fit_readout(run: TrainingRun) -> Policy:
     if run.agent == "readout_weighted":
         return weighted_policy(run.arguments, seed=run.seed)
+    if run.agent == "readout_aggregated":
+        return aggregated_policy(run.arguments, seed=run.seed)
     if run.agent == "readout_designed":
         return design_policy(run.arguments, seed=run.seed)
     noise = RIDGE_NOISES[run.agent]

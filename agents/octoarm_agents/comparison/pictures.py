@@ -32,6 +32,7 @@ _LOOKS = {
     "readout_ridge": (BLUE, "s"),
     "readout_noise": ("#44AA99", "h"),
     "readout_weighted": ("#332288", "p"),
+    "readout_aggregated": ("#661100", "d"),
     "readout_designed": ("#CC3377", "*"),
     "readout_past": ("#999933", "X"),
     "linear_search": (ORANGE, "v"),

@@ -1,6 +1,7 @@
 """The body as a reservoir: targets, linear readout, teaching, closed loop (section 2.2)."""
 
 from octoarm_agents.common.orbit import orbit_distance, turn_time
+from octoarm_agents.reservoir.aggregation import aggregated_policy
 from octoarm_agents.reservoir.closed_loop import ClosedLoop, release
 from octoarm_agents.reservoir.floquet import floquet_exponents
 from octoarm_agents.reservoir.loop_design import LoopModel, design, design_policy, weighted_policy
@@ -17,6 +18,7 @@ __all__ = [
     "Taught",
     "Teaching",
     "Tuned",
+    "aggregated_policy",
     "design",
     "design_policy",
     "floquet_exponents",
