@@ -48,6 +48,7 @@ nb_merge_streams = True
 # and what is not for users.
 nitpicky = True
 OTHERS = "(_core|collections|gymnasium|np|numpy|os|pathlib|sklearn|stable_baselines3)"
+ALIASES = ("ArrayLike", "BodyLike", "Env", "Float", "Float32", "Integer", "NDArray")
 OTHER_ALIASES = ("Flags", "Frame", "Numbers", "Path", "State")
 INTERNAL = r"(.*\.)?(BatchHistory|MadeOnce|Past|Renderer|StateBasis|T)"
 nitpick_ignore_regex = [
@@ -59,7 +60,6 @@ nitpick_ignore_regex = [
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-ALIASES = ("ArrayLike", "BodyLike", "Env", "Float", "Float32", "Integer", "NDArray")
 autodoc_type_aliases = {name: name for name in ALIASES}
 # Sphinx 9.0 prints the class around such a name where it stands in another type.
 TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]
