@@ -21,10 +21,8 @@ release = octoarm_env.__version__
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
-    "sphinxcontrib.mermaid",
 ]
 exclude_patterns = []
 
@@ -33,8 +31,6 @@ html_title = f"OctoArm {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
-myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
-myst_fence_as_directive = ["mermaid"]
 myst_heading_anchors = 4
 
 # Tutorials run where they have changed; what they print and draw is kept in build/notebooks.
@@ -57,7 +53,7 @@ nitpick_ignore_regex = [
     ("py:class", INTERNAL),
 ]
 
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ALIASES}
@@ -115,11 +111,15 @@ def shorten_defaults(
     return signature and re.sub(r"<[^<>]*>", "...", signature), returns
 
 
-def unlink_folders(app: Sphinx, doctree: nodes.document) -> None:
-    """Name folders of the repository without a link: a site has files only."""
+def mend_links(app: Sphinx, doctree: nodes.document) -> None:
+    """Name pages by their titles, and folders of the repository, which no site has, unlinked."""
     folder = Path(app.env.doc2path(app.env.docname)).parent
     for reference in list(doctree.findall(addnodes.pending_xref)):
-        if reference["reftype"] == "myst" and (folder / reference["reftarget"]).is_dir():
+        if reference["reftype"] != "myst":
+            continue
+        if reference["refdomain"] == "doc" and reference.astext().endswith(".md"):
+            reference["refexplicit"] = False
+        elif (folder / reference["reftarget"]).is_dir():
             reference.replace_self(reference.children)
 
 
@@ -129,4 +129,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", shorten_markdown, priority=400)
     app.connect("autodoc-process-docstring", keep_colons, priority=400)
     app.connect("autodoc-process-signature", shorten_defaults)
-    app.connect("doctree-read", unlink_folders)
+    app.connect("doctree-read", mend_links)
