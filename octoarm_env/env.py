@@ -297,7 +297,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
 
     @property
     def amplitude(self) -> float:
-        """Largest |angle| of the target [degrees]."""
+        """Largest absolute angle of the target [degrees]."""
         return self._core.amplitude
 
     @property

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from documents import check_links, code_blocks, read_page, run_python
 
+import octoarm_env
+
 PAGES = ["README.md", "docs/environment.md", "docs/agents.md", "docs/reservoir.md"]
 EXAMPLES = {
     f"{page}-{index}": code
@@ -39,6 +41,11 @@ def test_two_commands() -> None:
     start, everything = (block.strip() for block in code_blocks("README.md", "sh"))
     assert start.endswith("pip install . ./agents && octoarm demo")
     assert everything in read_page(".ci/run")
+
+
+def test_citation_is_of_this_version() -> None:
+    assert f"\nversion: {octoarm_env.__version__}\n" in read_page("CITATION.cff")
+    assert f"version = {{{octoarm_env.__version__}}}\n" in read_page("docs/citation.md")
 
 
 @pytest.mark.parametrize("page", [*PAGES, "docs/architecture.md", "CONTRIBUTING.md"])

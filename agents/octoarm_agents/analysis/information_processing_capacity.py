@@ -126,7 +126,7 @@ def information_processing_capacity(
         recording: states and input; the input should be independent in time, which is tested.
         delays: the oldest input, in rows, for total degree 1, 2, … D; not negative.
         washout: rows left out at the begin, as are the first max(delays) after it.
-        noise: ν, half width of the sensors' noise, see :class:`StateBasis`.
+        noise: ν, half width of the sensors' noise, see :class:`.StateBasis`.
         significance: probability that a capacity of nothing counts, by the chi-square distribution.
         surrogates: if not 0, thresholds are, for each degree, the largest multiple of its bias that
             the same functions of so many shuffled inputs reach; `significance` is not used then.

@@ -92,7 +92,7 @@ def memory_capacity(
         max_delay: K, in rows, at least 1.
         washout: rows left out at the begin; the first K rows after it are left out too, so that
             every delay has the same samples.
-        noise: ν, half width of the sensors' noise, see :class:`StateBasis`.
+        noise: ν, half width of the sensors' noise, see :class:`.StateBasis`.
         significance: probability that a capacity of nothing counts.
         training_fraction: share of the rows that the held-out readout is fitted to, the first ones.
 

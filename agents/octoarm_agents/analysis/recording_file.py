@@ -48,10 +48,10 @@ def read_recording(
 
     Args:
         states: a .npy file, a .npz file with the key `states`, or a text file (.csv, .tsv, .txt),
-            see :class:`CsvFile`.
+            see :class:`.CsvFile`.
         inputs: the same, the key being `input`; may be left out if `states` is a .npz file that has
             both, or a text file that has columns of both.
-        states_columns: names of columns of the text file, see :meth:`CsvFile.select`; by default
+        states_columns: names of columns of the text file, see :meth:`.CsvFile.select`; by default
             all that are neither input nor time.
         input_columns: the same of the input; by default all of a file of its own that are not time.
         time_column: the column of times, in seconds or any other unit, or in ISO 8601. Missing rows
@@ -65,7 +65,7 @@ def read_recording(
 
     Raises:
         OSError: a file that cannot be read.
-        ValueError: a file of another kind or content; see also :class:`Recording`.
+        ValueError: a file of another kind or content; see also :class:`.Recording`.
     """
     fill_gaps = whole_number("fill_gaps", fill_gaps)
     hold = None if hold is None else whole_number("hold", hold, 1)

@@ -43,7 +43,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
 
     - ``"pinv"``: W = S⁺ T, the Moore-Penrose pseudo-inverse of section 2.2: least squares, of all
       solutions the one with the smallest weights;
-    - ``"ridge"``: the least |S W - T|² + ridge |W|²;
+    - ``"ridge"``: the least ‖S W - T‖² + ridge ‖W‖²;
     - ``"noise"``: least squares as if the lengths carried white noise, uniform in [-ν, ν], as the
       paper adds it to the recorded rows (section 2.2.2). On average such noise adds its variance
       ν²/3 to the diagonal of SᵀS for every row, so that the fit is that of ``"ridge"`` with
@@ -99,7 +99,7 @@ class Readout(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[
             X: S, (M, springs), lengths [m].
             y: T, (M, outputs) or (M,); row t is what the readout must give for row t of `X`.
             penalty: P, (K, springs), deviations of the lengths to which the readout must not
-                answer [m]: adds |P W|² to what is made least, as K more rows with target zero would
+                answer [m]: adds ‖P W‖² to what is made least, as K more rows with target zero would
                 (generalised Tikhonov regularisation). The larger a row, the less the readout
                 answers to it; the bias is not part of the answer.
 
