@@ -11,7 +11,6 @@ import argparse
 import functools
 import itertools
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -50,7 +49,7 @@ LONG_STEP = {"num_envs": 1024, "control_period": 0.5}
 
 def status(server: ServerProcess, key: str) -> int:
     """A number of the process: kB for ``VmRSS``, threads for ``Threads``."""
-    text = Path(f"/proc/{server.process.pid}/status").read_text()
+    text = Path(f"/proc/{server.process.pid}/status").read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith(key + ":"))
     return int(line.split()[1])
 
@@ -135,9 +134,7 @@ def attack_memory(connections: int, streams: int, seconds: float = 20.0) -> dict
         ExitStack() as stack,
     ):
         before = memory(server)
-        floods = [
-            stack.enter_context(Flood(server, streams, 4 << 20)) for _ in range(connections)
-        ]
+        floods = [stack.enter_context(Flood(server, streams, 4 << 20)) for _ in range(connections)]
         threads = [threading.Thread(target=flood.run, args=(seconds,)) for flood in floods]
         for thread in threads:
             thread.start()
@@ -205,11 +202,15 @@ def attack_worlds(count: int, options: tuple[str, ...] = ()) -> dict[str, Any]:
 
 
 def _send_forever(
-    client: Client, request: Callable[[], pb.EnvironmentRequest], stop: threading.Event
+    client: Client,
+    request: Callable[[], pb.EnvironmentRequest],
+    stop: threading.Event,
+    answers: list[None],
 ) -> None:
     try:
         while not stop.is_set():
             answer = client.ask(request())
+            answers.append(None)
             if answer.WhichOneof("payload") == "create_world":
                 client.destroy(answer.create_world.world_name)
     except (grpc.RpcError, StopIteration):
@@ -237,8 +238,19 @@ def _refused() -> pb.EnvironmentRequest:
 
 
 @contextmanager
-def load(server: ServerProcess, kind: str, streams: int) -> Iterator[None]:
-    """One connection whose streams ask for something heavy again and again."""
+def load(
+    server: ServerProcess, kind: str, streams: int, answers: list[None] | None = None
+) -> Iterator[None]:
+    """One connection whose streams ask for something heavy again and again.
+
+    Args:
+        server: the server.
+        kind: ``steps``, long ones of large batches; ``creates`` of worlds that are like no other;
+            ``refused``, requests of a megabyte; or ``states`` of batches that are read.
+        streams: how many ask at a time.
+        answers: gets an entry for each answer.
+    """
+    counted = [] if answers is None else answers
     stop = threading.Event()
     with ExitStack() as stack:
         first = stack.enter_context(Client(server.address))
@@ -261,7 +273,9 @@ def load(server: ServerProcess, kind: str, streams: int) -> Iterator[None]:
                 client.step(observations=[2])
                 request = functools.partial(read_request, "state")
             threads.append(
-                threading.Thread(target=_send_forever, args=(client, request, stop), daemon=True)
+                threading.Thread(
+                    target=_send_forever, args=(client, request, stop, counted), daemon=True
+                )
             )
         for thread in threads:
             thread.start()

@@ -272,7 +272,7 @@ def test_who_only_looks_on_does_not_delay_the_end(kind: str) -> None:
 
 
 def test_a_connection_without_the_token_is_given_up(token_file: Path) -> None:
-    options = ("--keepalive-interval", "0.2", "--keepalive-timeout", "0.5", "--metrics-port", "0")
+    options = ("--probation-timeout", "0.7", "--metrics-port", "0")
     with (
         ServerProcess("--token-file", str(token_file), *options) as server,
         open_channel(server.address) as stranger,

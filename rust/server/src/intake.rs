@@ -18,14 +18,17 @@ use tower::{Layer, Service};
 use crate::listener::{Peer, peer_of};
 use crate::metrics::Level;
 
-/// Most calls at a time over a connection over which none was let in.
+/// Most calls at a time for the health over a connection over which none was let in. Any other is let in
+/// or refused at once.
 const FEW_CALLS: usize = 8;
+/// The service that needs no token.
+const HEALTH: &str = "/grpc.health.v1.Health/";
 /// Bytes of a request or answer for which the last quarter of the room is kept.
 pub(crate) const SMALL: usize = 1 << 16;
 /// Bytes before a message: whether it is compressed, and its length.
 const HEADER: usize = 5;
-/// Services that need no token; a connection that asks for them may stay.
-const HEALTH: &str = "/grpc.health.v1.Health/";
+/// Its call that lives on: so may the connection.
+const WATCH: &str = "/grpc.health.v1.Health/Watch";
 
 /// How much the server holds of requests that are not answered, and of large answers that are not sent.
 #[derive(Debug)]
@@ -188,7 +191,7 @@ impl HttpBody for Incoming {
     }
 }
 
-/// A call over a connection, until its answer has gone out.
+/// A call for the health over a connection, until its answer has gone out.
 struct Call(Arc<AtomicUsize>);
 
 impl Drop for Call {
@@ -197,7 +200,7 @@ impl Drop for Call {
     }
 }
 
-/// What the server sends over a stream, and the call that it belongs to.
+/// What the server sends over a stream, and the call that it belongs to if that is for the health.
 struct Outgoing {
     body: Body,
     _call: Option<Call>,
@@ -271,14 +274,16 @@ where
 
     fn call(&mut self, request: Request<Body>) -> Self::Future {
         let mut call = None;
-        if let Some(peer) = peer_of(request.extensions()) {
-            if request.uri().path().starts_with(HEALTH) {
+        let path = request.uri().path();
+        let peer = path.starts_with(HEALTH).then(|| peer_of(request.extensions())).flatten();
+        if let Some(peer) = peer {
+            if path == WATCH {
                 peer.watches.store(true, Ordering::Release);
             }
             call = enter(&peer);
             if call.is_none() {
                 let status = Status::resource_exhausted(format!(
-                    "at most {FEW_CALLS} calls at a time before the first one is let in"
+                    "at most {FEW_CALLS} calls for the health at a time before another one is let in"
                 ));
                 return Box::pin(std::future::ready(Ok(status.into_http())));
             }

@@ -36,9 +36,9 @@ pub(crate) struct Peer {
     pub(crate) address: SocketAddr,
     /// Whether a call came over it that was let in.
     pub(crate) accepted: Arc<AtomicBool>,
-    /// Whether a call came over it that asks for the server's health.
+    /// Whether a call came over it that watches the server's health.
     pub(crate) watches: Arc<AtomicBool>,
-    /// Calls that are not answered to their end.
+    /// Calls for the health that are not answered to their end.
     pub(crate) calls: Arc<AtomicUsize>,
 }
 
@@ -72,7 +72,7 @@ pub(crate) struct ConnectionLimits {
     /// Time in which something must be read, or could be written if there is something to write. A
     /// living peer is asked for signs of life more often than that.
     pub(crate) silence: Duration,
-    /// Time until a call has been let in, or has asked for the health.
+    /// Time until a call has been let in, or one watches the health.
     pub(crate) probation: Duration,
 }
 

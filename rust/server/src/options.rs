@@ -86,7 +86,7 @@ pub struct Options {
     /// Streams of a connection at a time; more wait [default: 256].
     #[arg(long, value_name = "NUMBER")]
     max_streams_per_connection: Option<u32>,
-    /// Seconds in which a call must be let in over a new connection, or have asked for the health
+    /// Seconds in which a call must be let in over a new connection, or one must watch the health
     /// [default: 10].
     #[arg(long, value_name = "SECONDS")]
     probation_timeout: Option<f64>,

@@ -136,7 +136,8 @@ impl Server {
     /// # Errors
     /// [`ServeError::Listen`] for an address that is taken or not this machine's,
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
-    pub async fn bind(settings: Settings) -> Result<Self, ServeError> {
+    pub async fn bind(mut settings: Settings) -> Result<Self, ServeError> {
+        fit_open_files(&mut settings.limits);
         let limits = &settings.limits;
         let mut transport = Transport::builder()
             .max_concurrent_streams(limits.max_streams_per_connection)
@@ -192,8 +193,7 @@ impl Server {
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
     pub async fn serve(self, shutdown: impl Future<Output = ()>) -> Result<(), ServeError> {
         let Self { settings, transport, listener, metrics: metrics_listener } = self;
-        let mut limits = settings.limits.clone();
-        fit_open_files(&mut limits);
+        let limits = settings.limits.clone();
         let metrics = Metrics::new();
         let stop = CancellationToken::new();
         let threads = settings.server_threads;

@@ -21,7 +21,7 @@ const MOST_SHORT: usize = 8;
 /// Time from one look at the running episodes to the next.
 const GLANCE: Duration = Duration::from_millis(20);
 /// By how much the threads of long work let the others go first.
-const NICENESS: i32 = 10;
+const NICENESS: i32 = 5;
 
 /// What is known of a stream, whether or not anybody reads its answers.
 #[derive(Debug)]
