@@ -1,8 +1,9 @@
-"""Attacks on a server of the arm, each bounded, on loopback: what they cost it, and those beside them.
+"""Attacks on a server of the arm: what they cost it, and those beside them.
 
-``python tests/server/attacks.py --help`` lists them. Each starts a server of its own (the program that
-`OCTOARM_SERVER_FOLDER` names, or the newest that cargo has built), prints what was measured as JSON, and
-ends. The tests of the same name assert what does not depend on how busy the machine is.
+``python tests/server/attacks.py --help`` lists them. Each starts a server of its own (the program
+that `OCTOARM_SERVER_FOLDER` names, or the newest that cargo has built), attacks it on loopback for
+a while, prints what was measured as JSON, and ends. ``test_attacks.py`` asserts what does not
+depend on how busy the machine is.
 """
 
 from __future__ import annotations

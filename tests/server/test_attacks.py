@@ -136,13 +136,13 @@ def test_threads_are_few_whatever_the_worlds_ask_for() -> None:
     assert found["threads"] <= 2 * (os.cpu_count() or 1) + 16
 
 
-@pytest.mark.parametrize("kind", ["steps", "creates", "refused"])
-def test_a_decent_client_does_not_wait_for_a_greedy_one(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "streams"), [("steps", 6), ("creates", 6), ("refused", 24)])
+def test_a_decent_client_does_not_wait_for_a_greedy_one(kind: str, streams: int) -> None:
     answers: list[None] = []
     with (
         ServerProcess() as server,
         Client(server.address).enter() as bystander,
-        attacks.load(server, kind, 6, answers),
+        attacks.load(server, kind, streams, answers),
     ):
         time.sleep(0.2)
         before = len(answers)

@@ -27,6 +27,11 @@ const BREATH: Duration = Duration::from_millis(100);
 /// like silence, a peer is asked for a sign of life before the second.
 const STRIKES: u32 = 2;
 
+/// Bytes that are taken at a time of a connection over which no call was let in, and the pause after them:
+/// what came is dealt with meanwhile, and dropped for the most part.
+const PORTION: usize = 1 << 15;
+const PAUSE: Duration = Duration::from_millis(10);
+
 /// Who is at the other end.
 #[derive(Clone, Debug)]
 pub(crate) struct Peer {
@@ -148,6 +153,9 @@ pub(crate) struct Connection {
     /// Ends connections over which no call was let in; none any more when one was.
     probation: Option<Pin<Box<Sleep>>>,
     evicted: Option<Pin<Box<WaitForCancellationFutureOwned>>>,
+    /// Bytes that were read since the last pause, before a call was let in.
+    portion: usize,
+    pause: Option<Pin<Box<Sleep>>>,
     /// When something was read.
     heard: Instant,
     silence: Pin<Box<Sleep>>,
@@ -203,11 +211,25 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        let known = self.peer.accepted.load(Ordering::Acquire);
+        if known || self.pause.as_mut().is_some_and(|pause| pause.as_mut().poll(context).is_ready())
+        {
+            self.pause = None;
+        }
         let before = buffer.filled().len();
-        let read = self.stream.as_mut().poll_read(context, buffer);
-        if buffer.filled().len() > before {
+        let read = match self.pause {
+            Some(_) => Poll::Pending,
+            None => self.stream.as_mut().poll_read(context, buffer),
+        };
+        let count = buffer.filled().len() - before;
+        if count > 0 {
             self.heard = Instant::now();
             self.strikes = 0;
+            self.portion += count;
+            if !known && self.portion >= PORTION {
+                self.portion = 0;
+                self.pause = Some(Box::pin(tokio::time::sleep(PAUSE)));
+            }
         }
         match self.poll_end(context) {
             Poll::Ready(reason) => {
@@ -367,6 +389,8 @@ impl Listener {
             peer,
             probation: Some(Box::pin(tokio::time::sleep(probation))),
             evicted: Some(Box::pin(place.evicted.clone().cancelled_owned())),
+            portion: 0,
+            pause: None,
             heard: Instant::now(),
             silence: Box::pin(tokio::time::sleep(patience)),
             patience,
