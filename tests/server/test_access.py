@@ -55,18 +55,26 @@ OPTIONS = {
     "max-physics-steps": 15_600,
     "max-threads": 1,
     "max-message-size": 100_000,
+    "max-world-bytes": 100_000_000,
+    "max-bytes-in-flight": 1_000_000,
     "max-connections": 100,
+    "max-connections-per-address": 50,
     "max-streams-per-connection": 10,
+    "probation-timeout": 10.0,
+    "message-timeout": 10.0,
+    "max-connection-age": 1000.0,
     "idle-timeout": 100.0,
     "keepalive-interval": 10.0,
     "keepalive-timeout": 10.0,
     "busy-poll": 0.0,
     "shutdown-timeout": 5.0,
+    "drain-timeout": 0.0,
     "server-threads": 1,
     "metrics-port": 0,
     "metrics-host": "127.0.0.1",
     "log-format": "json",
     "log-level": "debug",
+    "log-rate": 5000,
 }
 """Every option but --config, with a value that a server can start with."""
 
@@ -264,7 +272,7 @@ def test_who_only_looks_on_does_not_delay_the_end(kind: str) -> None:
 
 
 def test_a_connection_without_the_token_is_given_up(token_file: Path) -> None:
-    options = ("--keepalive-interval", "0.2", "--keepalive-timeout", "0.5", "--metrics-port", "0")
+    options = ("--probation-timeout", "0.7", "--metrics-port", "0")
     with (
         ServerProcess("--token-file", str(token_file), *options) as server,
         open_channel(server.address) as stranger,

@@ -79,8 +79,10 @@ impl GroupRun<'_> {
 }
 
 impl ArmBatch {
-    /// Takes copies of the arms. `threads` share the work, the calling one included; without a
-    /// number, as many as the processor runs at once.
+    /// Takes copies of the arms. At most `threads` share the work, the calling one included; without a
+    /// number, as many as the processor runs at once. The others are the process's, one for each thread
+    /// that the processor runs at once, shared by all batches; or, if the calling thread is one of a rayon
+    /// pool, the others of that pool.
     ///
     /// # Errors
     /// [`ParameterError`] for no arms, different numbers of compartments, no threads, or more arms
@@ -175,13 +177,15 @@ impl ArmBatch {
         lengths
     }
 
-    /// Does `work` with every group of eight arms and its piece; threads share the groups.
+    /// Does `work` with every group of eight arms from the `first` on and its piece, for as many as there
+    /// are pieces; threads share the groups.
     pub(crate) fn for_each_group<T: Send>(
         &mut self,
+        first: usize,
         pieces: impl Iterator<Item = T>,
         work: impl Fn(&mut ArmLanes, T) + Sync,
     ) {
-        let groups = self.groups.iter_mut().zip(pieces).collect();
+        let groups = self.groups.iter_mut().skip(first).zip(pieces).collect();
         self.workers.for_each(groups, |(lanes, piece)| work(lanes, piece));
     }
 
@@ -250,7 +254,7 @@ impl ArmBatch {
             lengths: lengths.by_ref().take(stops.len()).collect(),
             stops,
         });
-        self.for_each_group(runs, |lanes, run| run.run(lanes, steps.clone(), stride, command));
+        self.for_each_group(0, runs, |lanes, run| run.run(lanes, steps.clone(), stride, command));
     }
 }
 

@@ -36,6 +36,26 @@ pub struct Last {
     pub outcome: Outcome,
 }
 
+/// A step of all episodes that is made in parts ([`EpisodeBatch::begin_step`]).
+#[derive(Clone, Debug)]
+pub struct PartialStep {
+    actions: Vec<[f64; 2]>,
+    observations: Vec<f64>,
+    outcomes: Vec<Option<Outcome>>,
+    lasts: Vec<Option<Last>>,
+    /// Groups that have made it.
+    groups: usize,
+}
+
+impl PartialStep {
+    /// What the step brought, after its last part.
+    #[must_use]
+    pub fn finish(self) -> BatchStep {
+        let outcomes = self.outcomes.into_iter().flatten().collect();
+        BatchStep { observations: self.observations, outcomes, lasts: self.lasts }
+    }
+}
+
 /// What a step of all episodes brought.
 #[derive(Clone, Debug)]
 pub struct BatchStep {
@@ -154,8 +174,8 @@ impl EpisodeBatch {
     /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each configuration; clones
     /// of one share what is computed from it.
     ///
-    /// An episode is truncated after `max_episode_steps` steps. `threads` share the work, the calling
-    /// one included; without a number, as many as the processor runs at once.
+    /// An episode is truncated after `max_episode_steps` steps. At most `threads` share the work, the
+    /// calling one included, as in [`ArmBatch::new`].
     ///
     /// # Errors
     /// [`ParameterError`] that names the setting, its value and its range; different numbers of
@@ -295,7 +315,7 @@ impl EpisodeBatch {
             .chunks_mut(WIDTH)
             .zip(mask.chunks(WIDTH).zip(seeds.chunks(WIDTH)))
             .zip(observations.chunks_mut(WIDTH * width).zip(outcomes.chunks_mut(WIDTH)));
-        self.arms.for_each_group(groups, |lanes, ((tasks, (mask, seeds)), (rows, outcomes))| {
+        self.arms.for_each_group(0, groups, |lanes, ((tasks, (mask, seeds)), (rows, outcomes))| {
             let mut starts = Vec::new();
             for (lane, task) in tasks.iter_mut().enumerate().filter(|(lane, _)| mask[*lane]) {
                 if let Some(seed) = seeds[lane] {
@@ -320,6 +340,19 @@ impl EpisodeBatch {
     /// bounds, an episode that was never reset (or, without autoreset, has ended), or too little
     /// memory; nothing is changed then.
     pub fn step(&mut self, actions: &[[f64; 2]]) -> Result<BatchStep, ParameterError> {
+        let mut step = self.begin_step(actions)?;
+        self.advance_step(&mut step, usize::MAX);
+        Ok(step.finish())
+    }
+
+    /// Checks the actions of a step that [`EpisodeBatch::advance_step`] makes in parts, so that others
+    /// can have their turn in between; nothing is changed yet. The parts together are one
+    /// [`EpisodeBatch::step`], bit for bit; nothing else may be asked of the batch between them. Where
+    /// they are given up half-way, the episodes go on only after a reset of all.
+    ///
+    /// # Errors
+    /// As [`EpisodeBatch::step`].
+    pub fn begin_step(&self, actions: &[[f64; 2]]) -> Result<PartialStep, ParameterError> {
         check_len("actions", actions.len(), self.len())?;
         let actions: Vec<[f64; 2]> = actions
             .iter()
@@ -339,16 +372,28 @@ impl EpisodeBatch {
                 return Err(ParameterError::NotRunning { name });
             }
         }
-        let (count, width, autoreset) = (self.len(), self.observation_len(), self.autoreset);
-        let mut observations = self.observations()?;
-        let mut outcomes = vec![None; count];
-        let mut lasts = vec![None; count];
-        let groups = self
+        Ok(PartialStep {
+            actions,
+            observations: self.observations()?,
+            outcomes: vec![None; self.len()],
+            lasts: vec![None; self.len()],
+            groups: 0,
+        })
+    }
+
+    /// Makes a step's next part: that of at most so many groups of eight episodes. Says whether it was
+    /// the last one.
+    pub fn advance_step(&mut self, step: &mut PartialStep, groups: usize) -> bool {
+        let (width, autoreset) = (self.observation_len(), self.autoreset);
+        let first = step.groups;
+        let pieces = self
             .tasks
             .chunks_mut(WIDTH)
-            .zip(actions.chunks(WIDTH))
-            .zip(observations.chunks_mut(WIDTH * width))
-            .zip(outcomes.chunks_mut(WIDTH).zip(lasts.chunks_mut(WIDTH)))
+            .zip(step.actions.chunks(WIDTH))
+            .zip(step.observations.chunks_mut(WIDTH * width))
+            .zip(step.outcomes.chunks_mut(WIDTH).zip(step.lasts.chunks_mut(WIDTH)))
+            .skip(first)
+            .take(groups)
             .map(|(((tasks, actions), observations), (outcomes, lasts))| GroupStep {
                 tasks,
                 actions,
@@ -356,9 +401,10 @@ impl EpisodeBatch {
                 outcomes,
                 lasts,
             });
-        self.arms.for_each_group(groups, |lanes, group| group.run(lanes, autoreset));
-        let outcomes = outcomes.into_iter().flatten().collect();
-        Ok(BatchStep { observations, outcomes, lasts })
+        self.arms.for_each_group(first, pieces, |lanes, group| group.run(lanes, autoreset));
+        let all = self.tasks.len().div_ceil(WIDTH);
+        step.groups = first.saturating_add(groups).min(all);
+        step.groups == all
     }
 
     /// Room for the spring lengths of all arms.

@@ -43,10 +43,12 @@ mod workers;
 pub use arm_batch::{ArmBatch, Stop};
 pub use config::{CheckedConfig, EpisodeConfig};
 pub use episode::Episode;
-pub use episode_batch::{Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last};
+pub use episode_batch::{
+    Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last, PartialStep,
+};
 pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
 pub use reward::{Reward, RewardTerms};
-pub use swing::{Snapshot, Swing};
+pub use swing::{Snapshot, Swing, SwingRun};
 pub use task::{EpisodeState, check_step};
 pub use teacher::TeacherClock;

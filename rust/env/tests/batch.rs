@@ -175,6 +175,49 @@ fn a_batch_is_its_episodes() {
 }
 
 #[test]
+fn a_step_in_parts_is_a_step() {
+    let configs = configs(27);
+    let mut batches = [batch(27, Autoreset::NextStep, 2), batch(27, Autoreset::NextStep, 2)];
+    for batch in &mut batches {
+        batch.reset(None, &[Some(3); 27], None).unwrap();
+    }
+    let [whole, parts] = &mut batches;
+    for step in 0..40 {
+        let actions = actions(&configs, step);
+        let expected = whole.step(&actions).unwrap();
+        let mut part = parts.begin_step(&actions).unwrap();
+        let made: Vec<bool> = (0..3).map(|groups| parts.advance_step(&mut part, groups)).collect();
+        assert_eq!(made, [false, false, false]);
+        assert!(parts.advance_step(&mut part, 1));
+        let found = part.finish();
+        assert_eq!(bits(&found.observations), bits(&expected.observations), "step {step}");
+        assert_eq!((found.outcomes, found.lasts), (expected.outcomes, expected.lasts));
+        assert_eq!(whole.state(), parts.state());
+    }
+}
+
+/// Threads of this process that help batches; none where the system does not tell.
+fn helpers() -> usize {
+    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0 };
+    let names =
+        tasks.filter_map(|task| std::fs::read_to_string(task.ok()?.path().join("comm")).ok());
+    names.filter(|name| name.starts_with("octoarm-")).count()
+}
+
+#[test]
+fn all_batches_share_their_threads() {
+    let mut batches: Vec<EpisodeBatch> =
+        (0..10).map(|_| batch(17, Autoreset::NextStep, 64)).collect();
+    for batch in &mut batches {
+        batch.reset(None, &[Some(1); 17], None).unwrap();
+        batch.step(&[[0.0; 2]; 17]).unwrap();
+        assert_eq!(batch.arms().threads(), 64);
+    }
+    let processors = std::thread::available_parallelism().unwrap().get();
+    assert!(helpers() <= processors, "{} threads help", helpers());
+}
+
+#[test]
 fn a_saved_batch_goes_on_with_the_same_bits() {
     let configs = configs(11);
     let mut batch = batch(11, Autoreset::NextStep, 2);

@@ -1,7 +1,9 @@
 //! An agent's view of a world: the episodes of one arm or of a batch in the states of the protocol.
 
 use octoarm_arm::ParameterError;
-use octoarm_env::{Autoreset, Episode, EpisodeBatch, EpisodeConfig, Outcome, Reading, Swing};
+use octoarm_env::{
+    Autoreset, Episode, EpisodeBatch, EpisodeConfig, Outcome, PartialStep, Reading, Swing,
+};
 
 use crate::protocol::{EnvironmentStateType, StepResponse};
 use crate::reply::{Answer, Refusal};
@@ -11,6 +13,24 @@ use crate::world_settings::{NextReset, WorldSettings, weight};
 
 /// Time of a physics step of one arm or of eight in lanes, roughly \[µs\].
 const MICROSECONDS_A_STEP: f64 = 10.0;
+
+/// Roughly the time that a part of a long step takes \[µs\].
+const MICROSECONDS_A_PART: f64 = 500.0;
+
+/// A control period that is made in parts.
+#[derive(Debug)]
+pub(crate) struct Advance {
+    actions: Option<Vec<[f64; 2]>>,
+    /// Of a batch that has begun it.
+    step: Option<PartialStep>,
+}
+
+impl Advance {
+    /// Under an action for every arm; without actions each keeps its last one.
+    pub(crate) fn new(actions: Option<Vec<[f64; 2]>>) -> Self {
+        Self { actions, step: None }
+    }
+}
 
 /// The episodes of a world.
 #[derive(Debug)]
@@ -46,14 +66,28 @@ impl Episodes {
         }
     }
 
+    /// Roughly how long a step takes, of one arm or of eight in lanes \[µs\].
+    fn group_microseconds(&self) -> f64 {
+        let steps = f64::from(self.config().physics_steps());
+        steps * weight(self.config()) * MICROSECONDS_A_STEP
+    }
+
     /// Roughly how long a step takes \[µs\].
     pub(crate) fn microseconds(&self) -> f64 {
         let groups = match self {
             Self::Single(_) => 1,
             Self::Batch(batch) => batch.len().div_ceil(8),
         };
-        let steps = f64::from(self.config().physics_steps()) * groups as f64;
-        steps * weight(self.config()) * MICROSECONDS_A_STEP
+        self.group_microseconds() * groups as f64
+    }
+
+    /// Groups of arms whose steps are a part that others can wait for.
+    fn groups_a_part(&self) -> usize {
+        let threads = match self {
+            Self::Single(_) => 1,
+            Self::Batch(batch) => batch.arms().threads(),
+        };
+        threads * (MICROSECONDS_A_PART / self.group_microseconds()).ceil().max(1.0) as usize
     }
 }
 
@@ -213,15 +247,17 @@ impl Environment {
         response(state, wanted, specs, &lengths, &outcomes)
     }
 
-    /// A control period under an action for every arm; without actions each keeps its last one.
+    /// Makes the next part of a control period; the answer comes with the last one.
     pub(crate) fn advance(
         &mut self,
-        actions: Option<Vec<[f64; 2]>>,
+        advance: &mut Advance,
         wanted: &[(u64, Observation)],
         specs: &Specs,
-    ) -> Answer<StepResponse> {
+    ) -> Answer<Option<StepResponse>> {
+        let groups = self.episodes.groups_a_part();
         match &mut self.episodes {
             Episodes::Single(episode) => {
+                let actions = advance.actions.as_deref();
                 let action = actions.map_or(episode.action(), |actions| actions[0]);
                 let outcome = episode.step(action)?;
                 self.running = episode.running();
@@ -230,13 +266,24 @@ impl Environment {
                     (_, true) => EnvironmentStateType::Interrupted,
                     _ => EnvironmentStateType::Running,
                 };
-                Ok(response(state, wanted, specs, &|| episode.arm().lengths(), &[outcome]))
+                Ok(Some(response(state, wanted, specs, &|| episode.arm().lengths(), &[outcome])))
             }
             Episodes::Batch(batch) => {
-                let step = batch.step(&actions.unwrap_or_else(|| batch.actions()))?;
+                let mut step = match advance.step.take() {
+                    Some(step) => step,
+                    None => {
+                        let actions = advance.actions.take();
+                        batch.begin_step(&actions.unwrap_or_else(|| batch.actions()))?
+                    }
+                };
+                if !batch.advance_step(&mut step, groups) {
+                    advance.step = Some(step);
+                    return Ok(None);
+                }
+                let step = step.finish();
                 let lengths = || step.observations.clone();
                 let state = EnvironmentStateType::Running;
-                Ok(response(state, wanted, specs, &lengths, &step.outcomes))
+                Ok(Some(response(state, wanted, specs, &lengths, &step.outcomes)))
             }
         }
     }

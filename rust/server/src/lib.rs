@@ -37,10 +37,15 @@
 //! steps it. What an episode is, is not decided here.
 
 mod auth;
+mod codec;
 mod environment;
+mod intake;
+mod limits;
 mod listener;
+mod log;
 mod metrics;
 mod options;
+mod pool;
 mod properties;
 pub mod protocol;
 mod reply;
@@ -55,6 +60,7 @@ mod world;
 mod world_settings;
 mod worlds;
 
+pub use log::LogRate;
 pub use options::Options;
 pub use server::{ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};

@@ -1,19 +1,21 @@
 //! Connections: accepted one by one, counted, given up when they are silent or come to nothing.
 
+use std::collections::BTreeMap;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::pin::Pin;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::Sleep;
+use tokio::sync::Notify;
+use tokio::time::{Instant, Sleep};
 use tokio_io_timeout::TimeoutStream;
 use tokio_stream::Stream;
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::Extensions;
 use tonic::transport::server::{Connected, TlsConnectInfo};
 
@@ -21,6 +23,14 @@ use crate::metrics::Metrics;
 
 /// Wait after an error of the system, such as no more file descriptors.
 const BREATH: Duration = Duration::from_millis(100);
+/// Times in a row that a connection must be found silent. After a pause of the whole process, which looks
+/// like silence, a peer is asked for a sign of life before the second.
+const STRIKES: u32 = 2;
+
+/// Bytes that are taken at a time of a connection over which no call was let in, and the pause after them:
+/// what came is dealt with meanwhile, and dropped for the most part.
+const PORTION: usize = 1 << 15;
+const PAUSE: Duration = Duration::from_millis(10);
 
 /// Who is at the other end.
 #[derive(Clone, Debug)]
@@ -31,6 +41,23 @@ pub(crate) struct Peer {
     pub(crate) address: SocketAddr,
     /// Whether a call came over it that was let in.
     pub(crate) accepted: Arc<AtomicBool>,
+    /// Whether a call came over it that watches the server's health.
+    pub(crate) watches: Arc<AtomicBool>,
+    /// Calls for the health that are not answered to their end.
+    pub(crate) calls: Arc<AtomicUsize>,
+}
+
+impl Peer {
+    /// Who has said nothing yet.
+    pub(crate) fn new(connection: u64, address: SocketAddr) -> Self {
+        Self {
+            connection,
+            address,
+            accepted: Arc::default(),
+            watches: Arc::default(),
+            calls: Arc::default(),
+        }
+    }
 }
 
 /// Who has sent a request.
@@ -42,26 +69,79 @@ pub(crate) fn peer_of(extensions: &Extensions) -> Option<Peer> {
 /// How many connections there may be, and for how long.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ConnectionLimits {
-    /// Connections at a time; more wait.
+    /// Connections at a time; one more takes the place of the oldest over which no call was let in, or
+    /// waits if there is none.
     pub(crate) most: usize,
+    /// Connections at a time from one address; what is more is closed.
+    pub(crate) most_of_address: usize,
     /// Time in which something must be read, or could be written if there is something to write. A
     /// living peer is asked for signs of life more often than that.
     pub(crate) silence: Duration,
-    /// Time until a call has been let in.
+    /// Time until a call has been let in, or one watches the health.
     pub(crate) probation: Duration,
 }
 
-/// An open connection of the gRPC port, as the metrics count it.
+/// What is known of an open connection.
 #[derive(Debug)]
-struct Open {
-    metrics: Arc<Metrics>,
-    connection: u64,
+struct Slot {
+    address: IpAddr,
+    accepted: Arc<AtomicBool>,
+    /// Told when another takes its place.
+    evicted: CancellationToken,
 }
 
-impl Drop for Open {
+impl Slot {
+    /// Whether no call was let in.
+    fn unknown(&self) -> bool {
+        !self.accepted.load(Ordering::Acquire)
+    }
+
+    /// Whether it was not told to go.
+    fn stays(&self) -> bool {
+        !self.evicted.is_cancelled()
+    }
+}
+
+/// The open connections; those with the smallest numbers are the oldest.
+#[derive(Debug, Default)]
+struct Slots {
+    open: Mutex<BTreeMap<u64, Slot>>,
+    freed: Notify,
+}
+
+impl Slots {
+    fn open(&self) -> MutexGuard<'_, BTreeMap<u64, Slot>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A place among the open connections, until the connection is closed.
+#[derive(Debug)]
+struct Place {
+    slots: Arc<Slots>,
+    connection: u64,
+    evicted: CancellationToken,
+    /// Of the gRPC port, whose connections are counted.
+    metrics: Option<Arc<Metrics>>,
+}
+
+impl Drop for Place {
     fn drop(&mut self) {
-        self.metrics.connections.dec();
-        tracing::debug!(connection = self.connection, "connection closed");
+        self.slots.open().remove(&self.connection);
+        self.slots.freed.notify_one();
+        if let Some(metrics) = &self.metrics {
+            metrics.connections.dec();
+            tracing::debug!(connection = self.connection, "connection closed");
+        }
+    }
+}
+
+/// What counts as one address: of IPv6 the network, since a machine has as many addresses of it as it
+/// likes.
+fn place_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
+        address => address,
     }
 }
 
@@ -72,8 +152,17 @@ pub(crate) struct Connection {
     peer: Peer,
     /// Ends connections over which no call was let in; none any more when one was.
     probation: Option<Pin<Box<Sleep>>>,
-    open: Option<Open>,
-    _permit: Option<OwnedSemaphorePermit>,
+    evicted: Option<Pin<Box<WaitForCancellationFutureOwned>>>,
+    /// Bytes that were read since the last pause, before a call was let in.
+    portion: usize,
+    pause: Option<Pin<Box<Sleep>>>,
+    /// When something was read.
+    heard: Instant,
+    silence: Pin<Box<Sleep>>,
+    /// Time from one look for silence to the next.
+    patience: Duration,
+    strikes: u32,
+    _place: Place,
 }
 
 impl Connected for Connection {
@@ -84,20 +173,72 @@ impl Connected for Connection {
     }
 }
 
+impl Connection {
+    /// Why the connection is to be closed, if it is.
+    fn poll_end(&mut self, context: &mut Context<'_>) -> Poll<&'static str> {
+        if self.evicted.as_mut().is_some_and(|told| told.as_mut().poll(context).is_ready()) {
+            self.evicted = None;
+            return Poll::Ready("another takes its place");
+        }
+        let over = |probation: &mut Pin<Box<Sleep>>| probation.as_mut().poll(context).is_ready();
+        if self.probation.as_mut().is_some_and(over) {
+            let known = |flag: &AtomicBool| flag.load(Ordering::Acquire);
+            if !known(&self.peer.accepted) && !known(&self.peer.watches) {
+                return Poll::Ready("no call was let in");
+            }
+            self.probation = None;
+        }
+        while self.silence.as_mut().poll(context).is_ready() {
+            let (now, next) = (Instant::now(), self.heard + self.patience);
+            if next > now {
+                self.strikes = 0;
+                self.silence.as_mut().reset(next);
+            } else {
+                self.strikes += 1;
+                if self.strikes >= STRIKES {
+                    return Poll::Ready("nothing was heard");
+                }
+                self.silence.as_mut().reset(now + self.patience);
+            }
+        }
+        Poll::Pending
+    }
+}
+
 impl AsyncRead for Connection {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let over = |probation: &mut Pin<Box<Sleep>>| probation.as_mut().poll(context).is_ready();
-        if self.probation.as_mut().is_some_and(over) {
-            if !self.peer.accepted.load(Ordering::Acquire) {
-                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
-            }
-            self.probation = None;
+        let known = self.peer.accepted.load(Ordering::Acquire);
+        if known || self.pause.as_mut().is_some_and(|pause| pause.as_mut().poll(context).is_ready())
+        {
+            self.pause = None;
         }
-        self.stream.as_mut().poll_read(context, buffer)
+        let before = buffer.filled().len();
+        let read = match self.pause {
+            Some(_) => Poll::Pending,
+            None => self.stream.as_mut().poll_read(context, buffer),
+        };
+        let count = buffer.filled().len() - before;
+        if count > 0 {
+            self.heard = Instant::now();
+            self.strikes = 0;
+            self.portion += count;
+            if !known && self.portion >= PORTION {
+                self.portion = 0;
+                self.pause = Some(Box::pin(tokio::time::sleep(PAUSE)));
+            }
+        }
+        match self.poll_end(context) {
+            Poll::Ready(reason) => {
+                let Peer { connection, address, .. } = self.peer;
+                tracing::debug!(connection, %address, reason, "connection given up");
+                Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
+            }
+            Poll::Pending => read,
+        }
     }
 }
 
@@ -136,44 +277,125 @@ impl AsyncWrite for Connection {
 #[derive(Debug)]
 pub(crate) struct Listener {
     listener: TcpListener,
-    permits: Arc<Semaphore>,
-    silence: Duration,
+    slots: Arc<Slots>,
+    limits: ConnectionLimits,
+    /// Where the connections are counted, if they are.
+    metrics: Option<Arc<Metrics>>,
 }
 
 impl Listener {
-    /// Gives at most `most` connections at a time, which must not be silent for longer.
-    pub(crate) fn new(listener: TcpListener, most: usize, silence: Duration) -> Self {
-        let permits = Arc::new(Semaphore::new(most.min(Semaphore::MAX_PERMITS)));
-        Self { listener, permits, silence }
+    /// Gives connections within these limits.
+    pub(crate) fn new(
+        listener: TcpListener,
+        limits: ConnectionLimits,
+        metrics: Option<Arc<Metrics>>,
+    ) -> Self {
+        Self { listener, slots: Arc::default(), limits, metrics }
     }
 
-    async fn next(&self) -> Connection {
-        static NUMBER: AtomicU64 = AtomicU64::new(1);
-        // The semaphore is never closed: there is always a permit.
-        let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
-        let (stream, address) = loop {
+    /// The next one that the system has.
+    async fn accept(&self) -> (TcpStream, SocketAddr) {
+        loop {
             match self.listener.accept().await {
-                Ok(accepted) => break accepted,
+                Ok(accepted) => return accepted,
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => {}
                 Err(error) => {
                     tracing::warn!(%error, "no connection accepted");
                     tokio::time::sleep(BREATH).await;
                 }
             }
+        }
+    }
+
+    fn count(&self, reason: &'static str) {
+        if let Some(metrics) = &self.metrics {
+            metrics.turned_away(reason);
+        }
+    }
+
+    /// A place for a connection, if there is one now. If all are taken, the oldest that nobody knows is
+    /// told to go.
+    fn place(&self, peer: &Peer) -> Option<Place> {
+        let mut open = self.slots.open();
+        if open.len() >= self.limits.most {
+            // Those that were told to go may make room enough.
+            if open.values().filter(|slot| slot.stays()).count() >= self.limits.most
+                && let Some(slot) = open.values().find(|slot| slot.stays() && slot.unknown())
+            {
+                slot.evicted.cancel();
+                self.count("evicted");
+            }
+            return None;
+        }
+        let evicted = CancellationToken::new();
+        let slot = Slot {
+            address: place_of(peer.address.ip()),
+            accepted: Arc::clone(&peer.accepted),
+            evicted: evicted.clone(),
+        };
+        open.insert(peer.connection, slot);
+        if let Some(metrics) = &self.metrics {
+            metrics.connections.inc();
+        }
+        let (slots, metrics) = (Arc::clone(&self.slots), self.metrics.clone());
+        Some(Place { slots, connection: peer.connection, evicted, metrics })
+    }
+
+    /// Whether an address has as many connections as it may, and all of them are known. If one is not,
+    /// it is told to go.
+    fn crowded(&self, address: SocketAddr) -> bool {
+        let place = place_of(address.ip());
+        let open = self.slots.open();
+        let same = || open.values().filter(|slot| slot.address == place && slot.stays());
+        if same().count() < self.limits.most_of_address {
+            return false;
+        }
+        let Some(slot) = same().find(|slot| slot.unknown()) else { return true };
+        slot.evicted.cancel();
+        self.count("evicted");
+        false
+    }
+
+    async fn next(&self) -> Connection {
+        static NUMBER: AtomicU64 = AtomicU64::new(1);
+        let (stream, address) = loop {
+            let (stream, address) = self.accept().await;
+            if !self.crowded(address) {
+                break (stream, address);
+            }
+            self.count("address");
+            tracing::debug!(%address, "connection closed: too many from its address");
+        };
+        let peer = Peer::new(NUMBER.fetch_add(1, Ordering::Relaxed), address);
+        let place = loop {
+            // Before the look, lest one is freed in between.
+            let freed = self.slots.freed.notified();
+            match self.place(&peer) {
+                Some(place) => break place,
+                // Also one that is unknown now may be the next to go.
+                None => drop(tokio::time::timeout(BREATH, freed).await),
+            }
         };
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!(%error, "no TCP_NODELAY");
         }
+        tracing::debug!(connection = peer.connection, %address, "connection opened");
+        let ConnectionLimits { silence, probation, .. } = self.limits;
         let mut stream = TimeoutStream::new(stream);
-        stream.set_read_timeout(Some(self.silence));
-        stream.set_write_timeout(Some(self.silence));
-        let connection = NUMBER.fetch_add(1, Ordering::Relaxed);
+        stream.set_write_timeout(Some(silence));
+        let patience = silence / STRIKES;
         Connection {
             stream: Box::pin(stream),
-            peer: Peer { connection, address, accepted: Arc::default() },
-            probation: None,
-            open: None,
-            _permit: permit,
+            peer,
+            probation: Some(Box::pin(tokio::time::sleep(probation))),
+            evicted: Some(Box::pin(place.evicted.clone().cancelled_owned())),
+            portion: 0,
+            pause: None,
+            heard: Instant::now(),
+            silence: Box::pin(tokio::time::sleep(patience)),
+            patience,
+            strikes: 0,
+            _place: place,
         }
     }
 }
@@ -199,16 +421,10 @@ pub(crate) fn connections(
     limits: ConnectionLimits,
     metrics: Arc<Metrics>,
 ) -> impl Stream<Item = io::Result<Connection>> {
-    let listener = Listener::new(listener, limits.most, limits.silence);
+    let listener = Listener::new(listener, limits, Some(metrics));
     async_stream::stream! {
         loop {
-            let mut accepted = listener.next().await;
-            let Peer { connection, address, .. } = accepted.peer;
-            tracing::debug!(connection, %address, "connection opened");
-            metrics.connections.inc();
-            accepted.probation = Some(Box::pin(tokio::time::sleep(limits.probation)));
-            accepted.open = Some(Open { metrics: Arc::clone(&metrics), connection });
-            yield Ok(accepted);
+            yield Ok(listener.next().await);
         }
     }
 }

@@ -5,31 +5,38 @@ use std::io::{self, IsTerminal as _, Write as _};
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use octoarm_server::{LogFormat, Options, Server, Settings};
+use octoarm_server::{LogFormat, LogRate, Options, Server, Settings};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Starts the log; what is logged last goes out when the guard is dropped.
-fn start_log(settings: &Settings) -> Result<WorkerGuard, String> {
+fn start_log(settings: &Settings, rate: LogRate) -> Result<WorkerGuard, String> {
     let level = &settings.log_level;
     // A level alone is that of the server; its libraries only warn.
     let alone = level.chars().all(char::is_alphabetic);
-    let filter =
-        if alone { format!("warn,rustls=error,octoarm_server={level}") } else { level.clone() };
+    // Why the transport ended a connection is of interest where connections are.
+    let transport = if level == "debug" { ",tonic::transport::server=debug" } else { "" };
+    let filter = if alone {
+        format!("warn,rustls=error,octoarm_server={level}{transport}")
+    } else {
+        level.clone()
+    };
     let filter = EnvFilter::try_new(filter)
         .map_err(|error| format!("log_level = {:?}: {error}", settings.log_level))?;
     // A reader of the log that comes to a halt must not bring the server to one: lines are dropped.
     let (writer, guard) = tracing_appender::non_blocking(io::stderr());
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let log = tracing_subscriber::fmt::layer()
         .with_ansi(io::stderr().is_terminal())
         // Nobody may be reading: that is no reason to end.
         .log_internal_errors(false)
         .with_writer(writer);
+    let rest = tracing_subscriber::registry().with(filter).with(rate);
     match settings.log_format {
-        LogFormat::Text => log.with_target(false).init(),
-        LogFormat::Json => log.json().flatten_event(true).init(),
+        LogFormat::Text => rest.with(log.with_target(false)).init(),
+        LogFormat::Json => rest.with(log.json().flatten_event(true)).init(),
     }
     // A panic is a line of the log as everything else.
     std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "panic")));
@@ -54,9 +61,10 @@ fn told_to_stop() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
-async fn serve(settings: Settings) -> Result<(), Box<dyn Error>> {
+async fn serve(settings: Settings, rate: LogRate) -> Result<(), Box<dyn Error>> {
     // Before anybody is told that there is a server to stop.
     let stop = told_to_stop()?;
+    tokio::spawn(rate.keep_watch());
     let server = Server::bind(settings).await?;
     let address = server.address()?;
     let scheme = if server.encrypted() { "https" } else { "http" };
@@ -76,13 +84,14 @@ async fn serve(settings: Settings) -> Result<(), Box<dyn Error>> {
 
 fn run() -> Result<(), (u8, String)> {
     let settings = Options::parse().settle().map_err(|error| (2, error.to_string()))?;
-    let _log = start_log(&settings).map_err(|error| (2, error))?;
+    let rate = LogRate::new(settings.log_rate);
+    let _log = start_log(&settings, rate.clone()).map_err(|error| (2, error))?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(settings.server_threads)
         .enable_all()
         .build()
         .map_err(|error| (1, error.to_string()))?;
-    let result = runtime.block_on(serve(settings)).map_err(|error| (1, error.to_string()));
+    let result = runtime.block_on(serve(settings, rate)).map_err(|error| (1, error.to_string()));
     // A long step must not keep the process.
     runtime.shutdown_background();
     result

@@ -13,6 +13,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::protocol::environment_request::Payload;
+use crate::session::Asked;
 
 /// Kinds of requests; the last are those that hold none that is known.
 const KINDS: [&str; 9] = [
@@ -27,9 +28,23 @@ const KINDS: [&str; 9] = [
     "unknown",
 ];
 
+/// The codes that a refusal has.
+const CODES: [(tonic::Code, &str); 10] = [
+    (tonic::Code::InvalidArgument, "INVALID_ARGUMENT"),
+    (tonic::Code::DeadlineExceeded, "DEADLINE_EXCEEDED"),
+    (tonic::Code::NotFound, "NOT_FOUND"),
+    (tonic::Code::PermissionDenied, "PERMISSION_DENIED"),
+    (tonic::Code::ResourceExhausted, "RESOURCE_EXHAUSTED"),
+    (tonic::Code::FailedPrecondition, "FAILED_PRECONDITION"),
+    (tonic::Code::Aborted, "ABORTED"),
+    (tonic::Code::Unimplemented, "UNIMPLEMENTED"),
+    (tonic::Code::Internal, "INTERNAL"),
+    (tonic::Code::Unavailable, "UNAVAILABLE"),
+];
+
 type Labels = Vec<(&'static str, &'static str)>;
 type Count = Counter<u64, AtomicU64>;
-type Level = Gauge<i64, AtomicI64>;
+pub(crate) type Level = Gauge<i64, AtomicI64>;
 
 /// What is counted of one kind of request.
 #[derive(Clone, Debug)]
@@ -68,6 +83,13 @@ pub(crate) struct Metrics {
     pub(crate) streams: Level,
     /// Worlds, those in the making included.
     pub(crate) worlds: Level,
+    /// Memory that was set aside for them \[bytes\].
+    pub(crate) world_bytes: Level,
+    /// Requests that are not answered, and large answers that are not sent \[bytes\].
+    pub(crate) bytes_in_flight: Level,
+    errors: Family<Labels, Count>,
+    turned_away: Family<Labels, Count>,
+    waiting: Family<Labels, Level>,
 }
 
 /// Memory of the process, read when it is asked for.
@@ -138,6 +160,24 @@ impl Metrics {
         let connections = gauge("connections", "Open connections");
         let streams = gauge("streams", "Open streams");
         let worlds = gauge("worlds", "Worlds");
+        let mut gauge_bytes = |name: &str, help: &str| {
+            let gauge = Level::default();
+            registry_ref.register_with_unit(name, help, Unit::Bytes, gauge.clone());
+            gauge
+        };
+        let world_bytes = gauge_bytes("worlds_memory", "Memory set aside for worlds");
+        let bytes_in_flight =
+            gauge_bytes("in_flight", "Requests not answered, and large answers not sent");
+        let errors: Family<Labels, Count> = Family::default();
+        registry_ref.register("errors", "Requests refused, by gRPC's code", errors.clone());
+        let turned_away: Family<Labels, Count> = Family::default();
+        registry_ref.register(
+            "connections_turned_away",
+            "Connections closed for want of places",
+            turned_away.clone(),
+        );
+        let waiting: Family<Labels, Level> = Family::default();
+        registry_ref.register("jobs_waiting", "Long work that waits for its turn", waiting.clone());
         Arc::new(Self {
             requests,
             steps,
@@ -146,12 +186,38 @@ impl Metrics {
             connections,
             streams,
             worlds,
+            world_bytes,
+            bytes_in_flight,
+            errors,
+            turned_away,
+            waiting,
             registry,
         })
     }
 
+    /// Counts a request that was refused.
+    pub(crate) fn refused(&self, code: tonic::Code) {
+        // As gRPC writes it.
+        let name = CODES.iter().find(|(known, _)| *known == code).map_or("OTHER", |(_, name)| name);
+        self.errors.get_or_create_owned(&vec![("code", name)]).inc();
+    }
+
+    /// Counts a connection that was closed because there are too many.
+    pub(crate) fn turned_away(&self, reason: &'static str) {
+        self.turned_away.get_or_create_owned(&vec![("reason", reason)]).inc();
+    }
+
+    /// The number of jobs that wait for a pool.
+    pub(crate) fn waiting(&self, pool: &'static str) -> Level {
+        self.waiting.get_or_create_owned(&vec![("pool", pool)])
+    }
+
     /// The counters of a request's kind.
-    pub(crate) fn of(&self, payload: Option<&Payload>) -> &Requests {
+    pub(crate) fn of(&self, asked: &Asked) -> &Requests {
+        let payload = match asked {
+            Asked::Create(_) => return &self.requests[0],
+            Asked::Other(request) => request.payload.as_ref(),
+        };
         let kind = match payload {
             Some(Payload::CreateWorld(_)) => 0,
             Some(Payload::JoinWorld(_)) => 1,

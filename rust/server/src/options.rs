@@ -67,12 +67,36 @@ pub struct Options {
     /// Bytes of a request [default: 4194304].
     #[arg(long, value_name = "BYTES")]
     max_message_size: Option<usize>,
-    /// Connections at a time; more wait [default: 1024].
+    /// Memory of all worlds together, as the server reckons it, in bytes; one that does not fit in is
+    /// refused [default: 1073741824].
+    #[arg(long, value_name = "BYTES")]
+    max_world_bytes: Option<usize>,
+    /// Bytes of requests that are not answered yet, and of large answers that are not sent yet, of all
+    /// streams together; what does not fit in is refused [default: 268435456].
+    #[arg(long, value_name = "BYTES")]
+    max_bytes_in_flight: Option<usize>,
+    /// Connections at a time; one more takes the place of the oldest over which no call was let in, or
+    /// waits if there is none [default: 1024, or what the limit of open files allows].
     #[arg(long, value_name = "NUMBER")]
     max_connections: Option<usize>,
+    /// Connections at a time from one address (of IPv6, from one network of 64 bits); what is more is
+    /// closed [default: 512].
+    #[arg(long, value_name = "NUMBER")]
+    max_connections_per_address: Option<usize>,
     /// Streams of a connection at a time; more wait [default: 256].
     #[arg(long, value_name = "NUMBER")]
     max_streams_per_connection: Option<u32>,
+    /// Seconds in which a call must be let in over a new connection, or one must watch the health
+    /// [default: 10].
+    #[arg(long, value_name = "SECONDS")]
+    probation_timeout: Option<f64>,
+    /// Seconds that a request may take from its first byte to its last [default: 60].
+    #[arg(long, value_name = "SECONDS")]
+    message_timeout: Option<f64>,
+    /// Seconds after which a connection takes no new streams, so that clients connect anew; its streams go
+    /// on. Without it connections have no age.
+    #[arg(long, value_name = "SECONDS")]
+    max_connection_age: Option<f64>,
     /// Seconds without a request after which a stream is ended and its worlds are freed
     /// [default: 3600].
     #[arg(long, value_name = "SECONDS")]
@@ -91,6 +115,10 @@ pub struct Options {
     /// Seconds that running requests may take when the server is told to stop [default: 10].
     #[arg(long, value_name = "SECONDS")]
     shutdown_timeout: Option<f64>,
+    /// Seconds that running episodes may go on after SIGTERM, while nothing new may begin, before the
+    /// server stops; 0: none [default: 0].
+    #[arg(long, value_name = "SECONDS")]
+    drain_timeout: Option<f64>,
     /// Threads that serve [default: as many as the processor runs at once].
     #[arg(long, value_name = "NUMBER")]
     server_threads: Option<usize>,
@@ -106,6 +134,10 @@ pub struct Options {
     /// What is logged: error, warn, info, debug, trace, or a filter of tracing [default: info].
     #[arg(long, value_name = "LEVEL")]
     log_level: Option<String>,
+    /// Lines that the log takes in a second; how many more there were is a line of its own
+    /// [default: 1000].
+    #[arg(long, value_name = "NUMBER")]
+    log_rate: Option<u64>,
 }
 
 /// Environment variable that holds the token.
@@ -183,10 +215,11 @@ impl Options {
     fn or(self, file: Self) -> Self {
         prefer!(self, file; host port tls_certificate tls_key token_file max_worlds
             max_worlds_per_connection max_num_envs max_arms max_compartments
-            max_physics_steps max_threads max_message_size
-            max_connections max_streams_per_connection idle_timeout keepalive_interval
-            keepalive_timeout busy_poll shutdown_timeout server_threads metrics_port metrics_host log_format
-            log_level)
+            max_physics_steps max_threads max_message_size max_world_bytes max_bytes_in_flight
+            max_connections max_connections_per_address max_streams_per_connection
+            probation_timeout message_timeout max_connection_age idle_timeout keepalive_interval
+            keepalive_timeout busy_poll shutdown_timeout drain_timeout server_threads metrics_port
+            metrics_host log_format log_level log_rate)
     }
 
     fn from_file(path: &Path) -> Result<Self, SettingsError> {
@@ -223,8 +256,17 @@ impl Options {
             max_physics_steps: checked!(positive max_physics_steps),
             max_threads: checked!(threads max_threads),
             max_message_size: checked!(positive max_message_size),
+            max_world_bytes: checked!(positive max_world_bytes),
+            max_bytes_in_flight: checked!(positive max_bytes_in_flight),
             max_connections: checked!(positive max_connections),
+            max_connections_per_address: checked!(positive max_connections_per_address),
             max_streams_per_connection: checked!(positive max_streams_per_connection),
+            probation_timeout: checked!(seconds probation_timeout),
+            message_timeout: checked!(seconds message_timeout),
+            max_connection_age: match options.max_connection_age {
+                None => None,
+                age => Some(seconds("max_connection_age", age, Duration::ZERO)?),
+            },
             idle_timeout: checked!(seconds idle_timeout),
             keepalive_interval: checked!(seconds keepalive_interval),
             keepalive_timeout: checked!(seconds keepalive_timeout),
@@ -275,6 +317,13 @@ impl Options {
                 options.shutdown_timeout,
                 Duration::from_secs(10),
             )?,
+            drain_timeout: within(
+                "drain_timeout",
+                options.drain_timeout,
+                Duration::ZERO,
+                (0.0, LONGEST),
+            )?,
+            log_rate: positive("log_rate", options.log_rate, 1000)?,
             server_threads: threads("server_threads", options.server_threads, cores())?,
             metrics: options.metrics_port.map(|port| SocketAddr::new(metrics_host, port)),
             log_format: options.log_format.unwrap_or_default(),

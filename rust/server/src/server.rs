@@ -15,21 +15,32 @@ use tokio_util::sync::CancellationToken;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::server::ServerTlsConfig;
 use tonic::transport::{Identity, Server as Transport};
+use tonic_health::ServingStatus;
 
 use crate::auth::Guard;
+use crate::codec::EnvironmentServer;
+use crate::intake::{Intake, Room};
+use crate::limits::fit_open_files;
 use crate::listener::{ConnectionLimits, Listener, connections};
 use crate::metrics::Metrics;
 use crate::protocol::DESCRIPTORS;
-use crate::protocol::environment_server::EnvironmentServer;
 use crate::service::Service;
 use crate::sessions::Sessions;
 use crate::settings::Settings;
 
 /// Bytes of requests on their way to a connection's streams.
-const CONNECTION_WINDOW: u32 = 8 << 20;
-/// Connections of readers of the metrics at a time, and the time that one may be silent.
-const MOST_READERS: usize = 16;
-const READER_SILENCE: Duration = Duration::from_secs(10);
+const CONNECTION_WINDOW: u32 = 2 << 20;
+/// Largest request of those who ask for the health, and for the protocol's files.
+const HEALTH_REQUEST: usize = 1 << 10;
+const REFLECTION_REQUEST: usize = 1 << 12;
+/// Readers of the metrics: connections at a time (the oldest makes room for one more), the time that one
+/// may be silent, and its whole life.
+const READERS: ConnectionLimits = ConnectionLimits {
+    most: 16,
+    most_of_address: 16,
+    silence: Duration::from_secs(10),
+    probation: Duration::from_secs(60),
+};
 /// Time after the last stream's end in which answers go out when the server stops.
 const DRAINED: Duration = Duration::from_millis(300);
 
@@ -81,8 +92,8 @@ fn transport_error(error: &(dyn std::error::Error + 'static)) -> ServeError {
     ServeError::Transport(with_causes(error))
 }
 
-/// Serves what Prometheus reads.
-async fn serve_metrics(listener: Listener, metrics: Arc<Metrics>, stop: CancellationToken) {
+/// Serves what Prometheus reads, and whether the server takes new clients.
+async fn serve_metrics(listener: Listener, metrics: Arc<Metrics>, sessions: Arc<Sessions>) {
     const TEXT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     let answer = move || async move {
         match metrics.text() {
@@ -94,10 +105,15 @@ async fn serve_metrics(listener: Listener, metrics: Arc<Metrics>, stop: Cancella
             ),
         }
     };
-    let router = Router::new().route("/metrics", get(answer));
-    let serving =
-        axum::serve(listener, router).with_graceful_shutdown(async move { stop.cancelled().await });
-    if let Err(error) = serving.await {
+    let health = move || async move {
+        if sessions.stop.is_cancelled() || sessions.draining.is_cancelled() {
+            (StatusCode::SERVICE_UNAVAILABLE, "stopping\n")
+        } else {
+            (StatusCode::OK, "serving\n")
+        }
+    };
+    let router = Router::new().route("/metrics", get(answer)).route("/healthz", get(health));
+    if let Err(error) = axum::serve(listener, router).await {
         tracing::error!(%error, "metrics are no longer served");
     }
 }
@@ -120,7 +136,8 @@ impl Server {
     /// # Errors
     /// [`ServeError::Listen`] for an address that is taken or not this machine's,
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
-    pub async fn bind(settings: Settings) -> Result<Self, ServeError> {
+    pub async fn bind(mut settings: Settings) -> Result<Self, ServeError> {
+        fit_open_files(&mut settings.limits);
         let limits = &settings.limits;
         let mut transport = Transport::builder()
             .max_concurrent_streams(limits.max_streams_per_connection)
@@ -128,6 +145,9 @@ impl Server {
             .initial_connection_window_size(CONNECTION_WINDOW)
             .http2_keepalive_interval(Some(limits.keepalive_interval))
             .http2_keepalive_timeout(Some(limits.keepalive_timeout));
+        if let Some(age) = limits.max_connection_age {
+            transport = transport.max_connection_age(age);
+        }
         if let Some(tls) = &settings.tls {
             let identity = Identity::from_pem(&tls.certificate, &tls.key);
             let config =
@@ -172,17 +192,20 @@ impl Server {
     /// # Errors
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
     pub async fn serve(self, shutdown: impl Future<Output = ()>) -> Result<(), ServeError> {
-        let Self { settings, mut transport, listener, metrics: metrics_listener } = self;
+        let Self { settings, transport, listener, metrics: metrics_listener } = self;
         let limits = settings.limits.clone();
         let metrics = Metrics::new();
         let stop = CancellationToken::new();
         let threads = settings.server_threads;
-        let sessions = Sessions::new(limits.clone(), Arc::clone(&metrics), stop.clone(), threads);
+        let sessions = Sessions::new(limits.clone(), Arc::clone(&metrics), stop.clone(), threads)
+            .map_err(|error| ServeError::Transport(format!("no threads: {error}")))?;
+        let room = Room::new(limits.max_bytes_in_flight, metrics.bytes_in_flight.clone());
+        let intake = Intake { room: Arc::clone(&room), message_timeout: limits.message_timeout };
 
         let (health, health_service) = tonic_health::server::health_reporter();
         health.set_serving::<EnvironmentServer<Service>>().await;
         let guard = Guard { token: settings.token.clone(), metrics: Arc::clone(&metrics) };
-        let environment = EnvironmentServer::new(Service { sessions: Arc::clone(&sessions) })
+        let environment = EnvironmentServer::new(Service { sessions: Arc::clone(&sessions), room })
             .max_decoding_message_size(limits.max_message_size);
         let reflection = |error: tonic_reflection::server::Error| transport_error(&error);
         let files = || {
@@ -192,31 +215,39 @@ impl Server {
         };
 
         let router = transport
-            .add_service(health_service)
+            .layer(intake)
+            .add_service(health_service.max_decoding_message_size(HEALTH_REQUEST))
             .add_service(InterceptedService::new(environment, guard.clone()))
             .add_service(InterceptedService::new(
-                files().build_v1().map_err(reflection)?,
+                files()
+                    .build_v1()
+                    .map_err(reflection)?
+                    .max_decoding_message_size(REFLECTION_REQUEST),
                 guard.clone(),
             ))
             .add_service(InterceptedService::new(
-                files().build_v1alpha().map_err(reflection)?,
+                files()
+                    .build_v1alpha()
+                    .map_err(reflection)?
+                    .max_decoding_message_size(REFLECTION_REQUEST),
                 guard,
             ));
         let life = limits.keepalive_interval + limits.keepalive_timeout;
         let connection_limits = ConnectionLimits {
             most: limits.max_connections,
+            most_of_address: limits.max_connections_per_address,
             // Twice, so that a connection is first given up by the transport, which says goodbye.
             silence: 2 * life,
-            probation: life,
+            probation: limits.probation_timeout,
         };
         let incoming = connections(listener, connection_limits, Arc::clone(&metrics));
 
-        let watch = tokio::spawn(sessions.keep_watch());
-        let scraped = metrics_listener
-            .map(|listener| Listener::new(listener, MOST_READERS, READER_SILENCE))
-            .map(|listener| {
-                tokio::spawn(serve_metrics(listener, Arc::clone(&metrics), stop.clone()))
-            });
+        let watch = tokio::spawn(Arc::clone(&sessions).keep_watch());
+        let scraped = metrics_listener.map(|listener| Listener::new(listener, READERS, None)).map(
+            |listener| {
+                tokio::spawn(serve_metrics(listener, Arc::clone(&metrics), Arc::clone(&sessions)))
+            },
+        );
         let serving = {
             let stop = stop.clone();
             router.serve_with_incoming_shutdown(incoming, async move { stop.cancelled().await })
@@ -229,8 +260,20 @@ impl Server {
         let result = match result {
             Some(result) => result,
             None => {
-                tracing::info!("shutting down: running requests are answered, streams ended");
                 health.set_not_serving::<EnvironmentServer<Service>>().await;
+                health.set_service_status("", ServingStatus::NotServing).await;
+                if !settings.drain_timeout.is_zero() {
+                    let seconds = settings.drain_timeout.as_secs_f64();
+                    tracing::info!(seconds, "running episodes may come to their end");
+                    sessions.draining.cancel();
+                    let over = sessions.episodes_over();
+                    // The transport does not end before it is told to.
+                    tokio::select! {
+                        _ = tokio::time::timeout(settings.drain_timeout, over) => (),
+                        _ = &mut serving => return Ok(()),
+                    }
+                }
+                tracing::info!("shutting down: running requests are answered, streams ended");
                 stop.cancel();
                 tokio::select! {
                     result = serving => result,

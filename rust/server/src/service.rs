@@ -4,12 +4,17 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Instant;
 
+use bytes::Bytes;
+use prost::Message as _;
 use tokio_stream::Stream;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::codec::Environment;
+use crate::intake::{Room, SMALL, Share};
 use crate::listener::peer_of;
-use crate::protocol::environment_server::Environment;
-use crate::protocol::{EnvironmentRequest, EnvironmentResponse};
+use crate::protocol::EnvironmentResponse;
+use crate::protocol::environment_response::Payload;
+use crate::reply::Refusal;
 use crate::session::Session;
 use crate::sessions::Sessions;
 
@@ -17,6 +22,24 @@ use crate::sessions::Sessions;
 #[derive(Clone, Debug)]
 pub(crate) struct Service {
     pub(crate) sessions: Arc<Sessions>,
+    /// For large answers on their way.
+    pub(crate) room: Arc<Room>,
+}
+
+/// Takes room for a large answer until it has gone out; where there is none, the answer is that.
+fn held(room: &Arc<Room>, answer: EnvironmentResponse) -> (EnvironmentResponse, Option<Share>) {
+    let bytes = answer.encoded_len();
+    if bytes <= SMALL {
+        return (answer, None);
+    }
+    let mut share = room.share();
+    match share.grow(bytes, false) {
+        Ok(()) => (answer, Some(share)),
+        Err(status) => {
+            let refusal = Refusal::new(status.code(), status.message());
+            (EnvironmentResponse { payload: Some(Payload::Error(refusal.into())) }, None)
+        }
+    }
 }
 
 type Answers = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + Send>>;
@@ -24,9 +47,9 @@ type Answers = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + 
 /// Looks for the next request for a while without sleeping; none, if it takes longer. To wake a
 /// sleeping processor costs more than most requests.
 async fn busy_poll(
-    requests: &mut Streaming<EnvironmentRequest>,
+    requests: &mut Streaming<Bytes>,
     sessions: &Sessions,
-) -> Option<Result<Option<EnvironmentRequest>, Status>> {
+) -> Option<Result<Option<Bytes>, Status>> {
     let end = Instant::now() + sessions.limits.busy_poll;
     while Instant::now() < end && !sessions.stop.is_cancelled() {
         let found = tokio::select! {
@@ -48,11 +71,14 @@ impl Environment for Service {
 
     async fn process(
         &self,
-        request: Request<Streaming<EnvironmentRequest>>,
+        request: Request<Streaming<Bytes>>,
     ) -> Result<Response<Answers>, Status> {
         let peer = peer_of(request.extensions())
             .ok_or_else(|| Status::internal("the connection is unknown"))?;
-        let sessions = Arc::clone(&self.sessions);
+        if self.sessions.draining.is_cancelled() {
+            return Err(Status::unavailable("the server is about to stop"));
+        }
+        let (sessions, room) = (Arc::clone(&self.sessions), Arc::clone(&self.room));
         let mut requests = request.into_inner();
         let mut session = Session::new(Arc::clone(&sessions), peer);
         // One task does everything for a stream: it reads, computes and answers, and the next request
@@ -72,9 +98,18 @@ impl Environment for Service {
                     ))),
                     request = requests.message() => request,
                 } };
-                match request {
-                    Ok(Some(request)) => yield Ok(session.answer(request).await),
+                let answer = match request {
+                    Ok(Some(request)) => session.serve(request).await,
                     Ok(None) => break,
+                    Err(status) => Err(status),
+                };
+                match answer {
+                    Ok(answer) => {
+                        let (answer, share) = held(&room, answer);
+                        yield Ok(answer);
+                        // The next one is asked for: this one is on its way.
+                        drop(share);
+                    }
                     Err(status) => {
                         tracing::debug!(%status, "stream broken off");
                         yield Err(status);

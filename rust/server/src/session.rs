@@ -2,35 +2,98 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use bytes::Bytes;
+use octoarm_arm::ParameterError;
+use octoarm_env::{Swing, SwingRun};
 use prost_types::Any;
 use tokio_util::sync::CancellationToken;
-use tonic::Code;
+use tonic::{Code, Status};
 
+use crate::codec::decode;
 use crate::environment::Environment;
 use crate::listener::Peer;
 use crate::properties;
 use crate::protocol::environment_request::Payload as Request;
 use crate::protocol::environment_response::Payload as Response;
 use crate::protocol::{
-    CreateWorldRequest, CreateWorldResponse, DestroyWorldRequest, DestroyWorldResponse,
-    EnvironmentRequest, EnvironmentResponse, JoinWorldRequest, JoinWorldResponse,
-    LeaveWorldResponse, ResetRequest, ResetResponse, ResetWorldRequest, ResetWorldResponse,
-    StepRequest, StepResponse,
+    CreateWorldResponse, DestroyWorldRequest, DestroyWorldResponse, EnvironmentRequest,
+    EnvironmentResponse, JoinWorldRequest, JoinWorldResponse, LeaveWorldResponse, ResetRequest,
+    ResetResponse, ResetWorldRequest, ResetWorldResponse, StepRequest, StepResponse,
 };
 use crate::reply::{Answer, Refusal, quoted};
 use crate::sessions::{Activity, Sessions};
+use crate::settings::Limits;
 use crate::world::{World, failed};
-use crate::world_settings::{NextReset, WorldSettings, weight};
+use crate::world_settings::{NextReset, WorldSettings, memory, weight};
 use crate::worlds::Agent;
 
-/// Longest step \[µs\] that is computed where the stream is served; what takes longer must not keep
-/// the others waiting.
+/// Longest work \[µs\] that is done where the stream is served; what takes longer must not keep the
+/// others waiting.
 const INLINE: f64 = 1000.0;
 
-/// Arms whose state is read and written where the stream is served.
-const FEW_ARMS: usize = 16;
+/// Roughly the time that an arm takes to be made, or its state to be read or written \[µs\].
+const MICROSECONDS_AN_ARM: f64 = 50.0;
+
+/// Largest request \[bytes\] that is decoded where the stream is served, and roughly the time that more
+/// of them take \[µs/byte\].
+const SMALL_REQUEST: usize = 1 << 14;
+const MICROSECONDS_A_BYTE: f64 = 0.02;
+
+/// Longest search for the rest state of a body, which cannot be done in parts.
+const LONGEST_SEARCH: Duration = Duration::from_secs(2);
+
+/// A request as it was read.
+#[derive(Debug)]
+pub(crate) enum Asked {
+    /// The settings of a world that is to be made, checked.
+    Create(Answer<WorldSettings>),
+    /// Any other.
+    Other(EnvironmentRequest),
+}
+
+impl Asked {
+    /// Checks the settings of a world: they may be many.
+    fn of(request: EnvironmentRequest, limits: &Limits) -> Self {
+        match request.payload {
+            Some(Request::CreateWorld(request)) => {
+                Self::Create(WorldSettings::from_tensors(&request.settings, limits))
+            }
+            _ => Self::Other(request),
+        }
+    }
+}
+
+/// An environment in the making: its swing, control period by control period, and then the rest.
+fn made(
+    settings: &mut Option<WorldSettings>,
+    run: &mut Option<SwingRun>,
+) -> Answer<Option<Environment>> {
+    let Some(wanted) = settings else { return Err(failed()) };
+    let config = &wanted.config;
+    if let Some(run) = run {
+        if run.advance()? {
+            return Ok(None);
+        }
+    } else if Swing::kept(config).is_none() {
+        let begin = Instant::now();
+        let late = move || begin.elapsed() > LONGEST_SEARCH;
+        let begun = octoarm_arm::interruptible(late, || SwingRun::new(config));
+        *run = Some(begun.map_err(|error| match error {
+            ParameterError::Interrupted => Refusal::exhausted(format!(
+                "the rest state of this body was not found within {} s",
+                LONGEST_SEARCH.as_secs()
+            )),
+            error => error.into(),
+        })?);
+        return Ok(None);
+    }
+    let swing = run.take().map(SwingRun::keep);
+    let environment = settings.take().map(Environment::new).transpose()?;
+    drop(swing);
+    Ok(environment)
+}
 
 /// A stream. When it is dropped, what its client made is freed.
 #[derive(Debug)]
@@ -80,16 +143,61 @@ impl Session {
         agent.ok_or_else(|| Refusal::precondition("no world is joined: send JoinWorld first"))
     }
 
-    /// Answers a request.
-    pub(crate) async fn answer(&mut self, request: EnvironmentRequest) -> EnvironmentResponse {
+    /// Reads a request, and answers it.
+    ///
+    /// # Errors
+    /// The status that the stream ends with, if what came is no request.
+    pub(crate) async fn serve(&mut self, bytes: Bytes) -> Result<EnvironmentResponse, Status> {
         let begin = Instant::now();
         self.sessions.begin(&self.activity);
-        let requests = self.sessions.metrics.of(request.payload.as_ref()).clone();
-        let answer = match request.payload {
-            Some(Request::Step(request)) => self.step(request).await.map(Response::Step),
-            Some(Request::CreateWorld(request)) => {
-                self.create(request).await.map(Response::CreateWorld)
+        let length = bytes.len();
+        let asked = if length <= SMALL_REQUEST {
+            Asked::of(decode(bytes)?, &self.sessions.limits)
+        } else {
+            let sessions = Arc::clone(&self.sessions);
+            let work = move || decode(bytes).map(|request| Asked::of(request, &sessions.limits));
+            let pool = self.sessions.pool(length as f64 * MICROSECONDS_A_BYTE);
+            let asked = pool.run_once(self.peer.connection, work).await;
+            asked.map_err(|refusal| Status::new(refusal.code, refusal.message))??
+        };
+        Ok(self.answer_since(begin, asked).await)
+    }
+
+    /// Answers a request.
+    #[cfg(test)]
+    pub(crate) async fn answer(&mut self, request: EnvironmentRequest) -> EnvironmentResponse {
+        self.sessions.begin(&self.activity);
+        let asked = Asked::of(request, &self.sessions.limits);
+        self.answer_since(Instant::now(), asked).await
+    }
+
+    async fn answer_since(&mut self, begin: Instant, asked: Asked) -> EnvironmentResponse {
+        let metrics = Arc::clone(&self.sessions.metrics);
+        let requests = metrics.of(&asked);
+        let answer = match asked {
+            Asked::Create(Err(refusal)) => Err(refusal),
+            Asked::Create(Ok(settings)) => self.create(settings).await.map(Response::CreateWorld),
+            Asked::Other(request) => self.other(request).await,
+        };
+        let payload = answer.unwrap_or_else(|refusal| {
+            tracing::debug!(stream = self.id, code = ?refusal.code, reason = ?refusal.message, "request refused");
+            metrics.refused(refusal.code);
+            if self.agent().is_ok_and(|agent| agent.world.broken()) {
+                tracing::error!(stream = self.id, "a computation failed: its world is given up");
+                self.activity.leave();
             }
+            Response::Error(refusal.into())
+        });
+        requests.count(matches!(payload, Response::Error(_)), begin.elapsed().as_secs_f64());
+        self.sessions.end(&self.activity);
+        EnvironmentResponse { payload: Some(payload) }
+    }
+
+    async fn other(&mut self, request: EnvironmentRequest) -> Answer<Response> {
+        match request.payload {
+            Some(Request::Step(request)) => self.step(request).await.map(Response::Step),
+            // Its settings are read before.
+            Some(Request::CreateWorld(_)) => Err(failed()),
             Some(Request::JoinWorld(request)) => self.join(&request).map(Response::JoinWorld),
             Some(Request::Reset(request)) => self.reset(&request).map(Response::Reset),
             Some(Request::ResetWorld(request)) => {
@@ -102,35 +210,43 @@ impl Session {
             Some(Request::DestroyWorld(request)) => {
                 self.destroy(&request).map(Response::DestroyWorld)
             }
-            Some(Request::Extension(request)) => self.extension(&request).map(Response::Extension),
-            None => Err(Refusal::invalid("the request holds nothing that this server knows")),
-        };
-        let payload = answer.unwrap_or_else(|refusal| {
-            tracing::debug!(stream = self.id, code = ?refusal.code, reason = ?refusal.message, "request refused");
-            if self.agent().is_ok_and(|agent| agent.world.broken()) {
-                tracing::error!(stream = self.id, "a computation failed: its world is given up");
-                self.activity.leave();
+            Some(Request::Extension(request)) => {
+                self.extension(request).await.map(Response::Extension)
             }
-            Response::Error(refusal.into())
-        });
-        requests.count(matches!(payload, Response::Error(_)), begin.elapsed().as_secs_f64());
-        self.sessions.end(&self.activity);
-        EnvironmentResponse { payload: Some(payload) }
+            None => Err(Refusal::invalid("the request holds nothing that this server knows")),
+        }
     }
 
-    async fn create(&self, request: CreateWorldRequest) -> Answer<CreateWorldResponse> {
-        let settings = WorldSettings::from_tensors(&request.settings, &self.sessions.limits)?;
-        let num_envs = settings.num_envs;
-        let arms = (num_envs.unwrap_or(1) as f64 * weight(&settings.config)).ceil() as usize;
-        let reservation = self.sessions.worlds.reserve(self.peer.connection, arms)?;
-        // The first of a kind swings an arm onto the target, which takes a while; its room is taken
-        // until that is done, even if its stream has ended.
-        let work = move || (Environment::new(settings), reservation);
-        let (environment, reservation) = self.sessions.run_long(work).await?;
-        let world = World::new(name()?, environment?, num_envs);
+    async fn create(&self, settings: WorldSettings) -> Answer<CreateWorldResponse> {
+        self.sessions.refuse_while_draining()?;
+        let (num_envs, count) = (settings.num_envs, settings.num_envs.unwrap_or(1));
+        let arms = (count as f64 * weight(&settings.config)).ceil() as usize;
+        let worlds = &self.sessions.worlds;
+        let reservation = worlds.reserve(self.peer.connection, arms, memory(&settings))?;
+        let microseconds = match Swing::kept(&settings.config) {
+            Some(_) => count as f64 * MICROSECONDS_AN_ARM,
+            None => f64::INFINITY,
+        };
+        let (mut settings, mut run) = (Some(settings), None);
+        let mut reservation = Some(reservation);
+        // Room is taken from now on, until the world is gone, or its making is given up.
+        let mut part = move || {
+            let made = made(&mut settings, &mut run).transpose()?;
+            Some(made.map(|environment| (environment, reservation.take())))
+        };
+        let mut made = None;
+        if microseconds <= INLINE {
+            made = guarded(|| part().transpose())?;
+        }
+        let (environment, reservation) = match made {
+            Some(made) => made,
+            None => self.sessions.pool(microseconds).run(self.peer.connection, part).await??,
+        };
+        let reservation = reservation.ok_or_else(failed)?;
+        let world = World::new(name()?, environment, num_envs);
         let world_name = world.name.clone();
         tracing::info!(stream = self.id, arms = world.arms, "world created");
-        self.sessions.worlds.insert(world, reservation, self.id);
+        worlds.insert(world, reservation, self.id);
         Ok(CreateWorldResponse { world_name })
     }
 
@@ -153,12 +269,26 @@ impl Session {
 
     async fn step(&self, request: StepRequest) -> Answer<StepResponse> {
         let agent = self.agent()?;
-        let (response, steps) = if agent.world.microseconds > INLINE {
-            // The agent stays with the world until the step is done, even if the stream ends.
-            self.sessions.run_long(move || agent.world.step(&request)).await??
+        if self.sessions.draining.is_cancelled() && !agent.world.running() {
+            self.sessions.refuse_while_draining()?;
+        }
+        let microseconds = agent.world.microseconds;
+        let mut step = agent.world.begin_step(&request)?;
+        drop(request);
+        let mut part = move || agent.world.advance(&mut step).transpose();
+        let done = if microseconds <= INLINE {
+            guarded(|| {
+                loop {
+                    if let Some(done) = part() {
+                        break done;
+                    }
+                }
+            })
         } else {
-            guarded(|| agent.world.step(&request))?
+            // The agent stays with the world until the part is done, even if the stream ends.
+            self.sessions.pool(microseconds).run(self.peer.connection, part).await?
         };
+        let (response, steps) = done?;
         self.sessions.metrics.steps.inc_by(steps as u64);
         Ok(response)
     }
@@ -200,18 +330,22 @@ impl Session {
         result.map(|()| ResetWorldResponse {})
     }
 
-    fn extension(&self, request: &Any) -> Answer<Any> {
+    async fn extension(&self, request: Any) -> Answer<Any> {
         let agent = self.agent().ok();
         let worlds = self.sessions.worlds.len();
-        let work = || {
-            guarded(|| {
-                let environment = agent.as_ref().map(|agent| agent.world.environment());
-                properties::answer(request, worlds, environment.transpose()?.as_deref_mut())
-            })
+        // What takes its time is the state of many arms.
+        let arms = agent.as_ref().map_or(0, |agent| agent.world.arms);
+        let microseconds =
+            MICROSECONDS_AN_ARM * arms as f64 + MICROSECONDS_A_BYTE * request.value.len() as f64;
+        let work = move || {
+            let environment = agent.as_ref().map(|agent| agent.world.environment());
+            properties::answer(&request, worlds, environment.transpose()?.as_deref_mut())
         };
-        // The state of many arms takes its time.
-        let large = agent.as_ref().is_some_and(|agent| agent.world.arms > FEW_ARMS);
-        if large { tokio::task::block_in_place(work) } else { work() }
+        if microseconds <= INLINE {
+            guarded(work)
+        } else {
+            self.sessions.pool(microseconds).run_once(self.peer.connection, work).await?
+        }
     }
 
     fn destroy(&self, request: &DestroyWorldRequest) -> Answer<DestroyWorldResponse> {

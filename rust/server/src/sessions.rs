@@ -1,18 +1,27 @@
 //! All streams of a server, and what they share.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
+use tonic::Code;
 
 use crate::metrics::Metrics;
-use crate::reply::Answer;
+use crate::pool::Pool;
+use crate::reply::{Answer, Refusal};
 use crate::settings::{Limits, cores};
-use crate::world::failed;
 use crate::worlds::{Agent, Worlds};
+
+/// Longest work that counts as short \[µs\], and the most threads for it.
+const SHORT: f64 = 5000.0;
+const MOST_SHORT: usize = 8;
+/// Time from one look at the running episodes to the next.
+const GLANCE: Duration = Duration::from_millis(20);
+/// By how much the threads of long work let the others go first.
+const NICENESS: i32 = 5;
 
 /// What is known of a stream, whether or not anybody reads its answers.
 #[derive(Debug)]
@@ -45,8 +54,12 @@ pub(crate) struct Sessions {
     pub(crate) worlds: Arc<Worlds>,
     pub(crate) limits: Limits,
     pub(crate) metrics: Arc<Metrics>,
-    /// Long computations at a time.
-    long: Arc<Semaphore>,
+    /// For what takes milliseconds: a share of the processor that long work does not get.
+    short: Arc<Pool>,
+    /// For what takes longer.
+    long: Arc<Pool>,
+    /// Told when nothing new may begin.
+    pub(crate) draining: CancellationToken,
     /// Told when the server stops.
     pub(crate) stop: CancellationToken,
     open: Mutex<BTreeMap<u64, Arc<Activity>>>,
@@ -57,15 +70,24 @@ pub(crate) struct Sessions {
 
 impl Sessions {
     /// A list without streams.
+    ///
+    /// # Errors
+    /// What the system says if it gives no threads.
     pub(crate) fn new(
         limits: Limits,
         metrics: Arc<Metrics>,
         stop: CancellationToken,
         server_threads: usize,
-    ) -> Arc<Self> {
-        Arc::new(Self {
+    ) -> io::Result<Arc<Self>> {
+        // A world may be allowed more: they would not make it faster.
+        let threads = limits.max_threads.min(cores());
+        let pool =
+            |name, threads, niceness| Pool::new(name, threads, niceness, metrics.waiting(name));
+        Ok(Arc::new(Self {
             worlds: Worlds::new(limits.clone(), Arc::clone(&metrics)),
-            long: Arc::new(Semaphore::new(limits.max_threads)),
+            short: pool("short", threads.min(MOST_SHORT), 0)?,
+            long: pool("long", threads, NICENESS)?,
+            draining: CancellationToken::new(),
             limits,
             metrics,
             stop,
@@ -73,7 +95,34 @@ impl Sessions {
             started: Instant::now(),
             numbers: AtomicU64::new(1),
             cores: cores().min(server_threads) as i64,
-        })
+        }))
+    }
+
+    /// Where work is done that takes about so long \[µs\].
+    pub(crate) fn pool(&self, microseconds: f64) -> &Arc<Pool> {
+        if microseconds <= SHORT { &self.short } else { &self.long }
+    }
+
+    /// Completes when no stream is in an episode.
+    pub(crate) async fn episodes_over(&self) {
+        let running = || {
+            let open: Vec<Arc<Activity>> = self.open().values().cloned().collect();
+            let agents = open.iter().filter_map(|activity| activity.agent().clone());
+            // Without the list, which those who leave need too.
+            let agents: Vec<Arc<Agent>> = agents.collect();
+            agents.iter().any(|agent| agent.world.running())
+        };
+        while running() {
+            tokio::time::sleep(GLANCE).await;
+        }
+    }
+
+    /// Nothing new begins on a server that is about to stop.
+    pub(crate) fn refuse_while_draining(&self) -> Answer<()> {
+        if self.draining.is_cancelled() {
+            return Err(Refusal::new(Code::Unavailable, "the server is about to stop"));
+        }
+        Ok(())
     }
 
     fn now(&self) -> u64 {
@@ -170,19 +219,5 @@ impl Sessions {
                 () = tokio::time::sleep(pause) => self.end_idle(),
             }
         }
-    }
-
-    /// Runs a long computation on a thread of its own. What it is about, and its result, are dropped
-    /// there or on the way, if the stream ends meanwhile.
-    pub(crate) async fn run_long<T: Send + 'static>(
-        &self,
-        work: impl FnOnce() -> T + Send + 'static,
-    ) -> Answer<T> {
-        let permit = Arc::clone(&self.long).acquire_owned().await;
-        let done = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
-            work()
-        });
-        done.await.map_err(|_| failed())
     }
 }

@@ -53,10 +53,22 @@ pub(crate) struct Limits {
     pub(crate) max_threads: usize,
     /// Bytes of a request.
     pub(crate) max_message_size: usize,
+    /// Memory of all worlds.
+    pub(crate) max_world_bytes: usize,
+    /// Bytes of requests that are not answered, and of large answers that are not sent.
+    pub(crate) max_bytes_in_flight: usize,
     /// Connections at a time.
     pub(crate) max_connections: usize,
+    /// Connections at a time from one address.
+    pub(crate) max_connections_per_address: usize,
     /// Streams of a connection at a time.
     pub(crate) max_streams_per_connection: u32,
+    /// Time in which a call must be let in over a connection.
+    pub(crate) probation_timeout: Duration,
+    /// Time that a request may take from its first byte to its last.
+    pub(crate) message_timeout: Duration,
+    /// Time after which a connection takes no new streams.
+    pub(crate) max_connection_age: Option<Duration>,
     /// Time without a request after which a stream is ended.
     pub(crate) idle_timeout: Duration,
     /// Time from one sign of life that is asked for to the next.
@@ -116,6 +128,10 @@ pub struct Settings {
     pub(crate) token: Option<Token>,
     pub(crate) limits: Limits,
     pub(crate) shutdown_timeout: Duration,
+    /// Time that episodes may go on when the server is asked to end.
+    pub(crate) drain_timeout: Duration,
+    /// Lines that the log takes in a second.
+    pub log_rate: u64,
     /// Number of threads that serve.
     pub server_threads: usize,
     pub(crate) metrics: Option<SocketAddr>,
@@ -141,8 +157,14 @@ impl Default for Limits {
             max_physics_steps: 1_000_000,
             max_threads: cores(),
             max_message_size: 4 << 20,
+            max_world_bytes: 1 << 30,
+            max_bytes_in_flight: 256 << 20,
             max_connections: 1024,
+            max_connections_per_address: 512,
             max_streams_per_connection: 256,
+            probation_timeout: Duration::from_secs(10),
+            message_timeout: Duration::from_secs(60),
+            max_connection_age: None,
             idle_timeout: Duration::from_secs(3600),
             keepalive_interval: Duration::from_secs(30),
             keepalive_timeout: Duration::from_secs(20),

@@ -1,19 +1,30 @@
 //! A world: its environment, and the resets that wait for its agent.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
 use tokio::sync::oneshot;
 use tonic::Code;
 
-use crate::environment::Environment;
+use crate::environment::{Advance, Environment};
 use crate::protocol::{EnvironmentStateType, StepRequest, StepResponse};
 use crate::reply::{Answer, Refusal};
-use crate::specs::Specs;
+use crate::specs::{Observation, Specs};
 use crate::world_settings::NextReset;
 
 /// A computation has failed.
 pub(crate) fn failed() -> Refusal {
     Refusal::new(Code::Internal, "the computation failed; see the server's log")
+}
+
+/// A step of a world, which may be made in parts.
+#[derive(Debug)]
+pub(crate) struct Step {
+    /// Observations that it is to bring.
+    wanted: Vec<(u64, Observation)>,
+    /// Where an episode begins they are ignored, and what is wrong with them too.
+    actions: Option<Answer<Option<Vec<[f64; 2]>>>>,
+    /// The control period, when it has begun.
+    advance: Option<Advance>,
 }
 
 /// A world, as its agent and others know it. A step that panics leaves the lock of its environment
@@ -50,6 +61,15 @@ impl World {
     /// The environment, for as long as a request needs it.
     pub(crate) fn environment(&self) -> Answer<MutexGuard<'_, Environment>> {
         self.environment.lock().map_err(|_| failed())
+    }
+
+    /// Whether an episode runs, or a step is being made.
+    pub(crate) fn running(&self) -> bool {
+        match self.environment.try_lock() {
+            Ok(environment) => environment.running(),
+            Err(TryLockError::WouldBlock) => true,
+            Err(TryLockError::Poisoned(_)) => false,
+        }
     }
 
     /// Whether nobody knows the environment's state any more.
@@ -98,22 +118,33 @@ impl World {
         }
     }
 
-    /// Goes on as a request asks: a control period, the begin of an episode, or word of a reset. Gives
-    /// the answer, and how many arms have made a step.
-    pub(crate) fn step(&self, request: &StepRequest) -> Answer<(StepResponse, usize)> {
+    /// What a request asks for, checked; nothing is changed yet.
+    pub(crate) fn begin_step(&self, request: &StepRequest) -> Answer<Step> {
+        let wanted = self.specs.wanted(request)?;
+        Ok(Step { wanted, actions: Some(self.specs.actions(request)), advance: None })
+    }
+
+    /// Goes on by a part as a request asks: a control period, the begin of an episode, or word of a
+    /// reset. The last part gives the answer, and how many arms have made a step.
+    pub(crate) fn advance(&self, step: &mut Step) -> Answer<Option<(StepResponse, usize)>> {
         let specs = &self.specs;
         let mut environment = self.environment()?;
-        // The request is checked before anything changes.
-        let wanted = specs.wanted(request)?;
-        let running = environment.running();
-        if self.reset_now(&mut environment) && running {
-            let interrupted = EnvironmentStateType::Interrupted;
-            Ok((environment.tell(interrupted, &wanted, specs), 0))
-        } else if running {
-            let actions = specs.actions(request)?;
-            Ok((environment.advance(actions, &wanted, specs)?, self.arms))
-        } else {
-            Ok((environment.begin(&wanted, specs)?, 0))
-        }
+        let Step { wanted, actions, advance } = step;
+        let advance = match advance {
+            Some(advance) => advance,
+            None => {
+                let running = environment.running();
+                if self.reset_now(&mut environment) && running {
+                    let interrupted = EnvironmentStateType::Interrupted;
+                    return Ok(Some((environment.tell(interrupted, wanted, specs), 0)));
+                }
+                if !running {
+                    return Ok(Some((environment.begin(wanted, specs)?, 0)));
+                }
+                advance.insert(Advance::new(actions.take().transpose()?.flatten()))
+            }
+        };
+        let answer = environment.advance(advance, wanted, specs)?;
+        Ok(answer.map(|answer| (answer, self.arms)))
     }
 }

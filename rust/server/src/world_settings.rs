@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
-use octoarm_arm::{ArmParameters, read_fields};
+use octoarm_arm::{ArmLanes, ArmParameters, read_fields};
 use octoarm_env::{CheckedConfig, EpisodeConfig, Swing, TargetName};
 use serde_json::{Map, Value};
 
@@ -91,6 +91,19 @@ fn known() -> &'static BTreeSet<String> {
 /// How many arms of the usual size one of these settings counts for.
 pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
     (config.arm.compartments as f64 / USUAL_COMPARTMENTS).max(1.0)
+}
+
+/// Memory of an arm's episode beside that of the arm itself \[bytes\].
+const EPISODE_BYTES: usize = 1 << 10;
+
+/// Memory that a world takes, rounded up \[bytes\]: with its own swing, though worlds that are alike share
+/// one.
+pub(crate) fn memory(settings: &WorldSettings) -> usize {
+    let (config, arms) = (&settings.config, settings.num_envs.unwrap_or(1));
+    let groups = arms.div_ceil(ArmLanes::WIDTH);
+    let arms = arms.saturating_mul(EPISODE_BYTES);
+    let groups = groups.saturating_mul(ArmLanes::bytes(config.arm.compartments));
+    Swing::bytes(config).saturating_add(groups).saturating_add(arms)
 }
 
 /// All parameters of a body that is told by its name.

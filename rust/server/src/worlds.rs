@@ -19,12 +19,16 @@ pub(crate) struct Reservation {
     connection: u64,
     /// Number of arms, weighed by their size.
     arms: usize,
+    /// Memory that the world takes, rounded up.
+    bytes: usize,
 }
 
 impl Drop for Reservation {
     fn drop(&mut self) {
         let mut taken = self.worlds.taken();
         taken.arms -= self.arms;
+        taken.bytes -= self.bytes;
+        self.worlds.metrics.world_bytes.set(taken.bytes as i64);
         if let Some(count) = taken.worlds.get_mut(&self.connection) {
             *count -= 1;
             if *count == 0 {
@@ -73,6 +77,8 @@ struct Taken {
     worlds: HashMap<u64, usize>,
     /// Arms of all worlds.
     arms: usize,
+    /// Memory of all worlds.
+    bytes: usize,
 }
 
 /// All worlds.
@@ -112,8 +118,13 @@ impl Worlds {
         self.list().len()
     }
 
-    /// Room for a world of so many arms, made through this connection.
-    pub(crate) fn reserve(self: &Arc<Self>, connection: u64, arms: usize) -> Answer<Reservation> {
+    /// Room for a world of so many arms and bytes, made through this connection.
+    pub(crate) fn reserve(
+        self: &Arc<Self>,
+        connection: u64,
+        arms: usize,
+        bytes: usize,
+    ) -> Answer<Reservation> {
         let mut all = self.taken();
         let worlds: usize = all.worlds.values().sum();
         let own = all.worlds.get(&connection).copied().unwrap_or(0);
@@ -121,6 +132,13 @@ impl Worlds {
             (self.limits.max_worlds, worlds, 1, "worlds", "this server"),
             (self.limits.max_worlds_per_connection, own, 1, "worlds", "one connection"),
             (self.limits.max_arms, all.arms, arms, "arms", "this server"),
+            (
+                self.limits.max_world_bytes,
+                all.bytes,
+                bytes,
+                "bytes of memory",
+                "this server's worlds",
+            ),
         ] {
             if taken.saturating_add(more) > limit {
                 return Err(Refusal::exhausted(format!(
@@ -131,8 +149,10 @@ impl Worlds {
         }
         *all.worlds.entry(connection).or_default() += 1;
         all.arms += arms;
+        all.bytes += bytes;
+        self.metrics.world_bytes.set(all.bytes as i64);
         self.metrics.worlds.inc();
-        Ok(Reservation { worlds: Arc::clone(self), connection, arms })
+        Ok(Reservation { worlds: Arc::clone(self), connection, arms, bytes })
     }
 
     /// Puts a world on the list, made by stream `owner`.

@@ -13,6 +13,7 @@ use tokio::runtime::Runtime;
 
 use super::*;
 use crate::metrics::Metrics;
+use crate::protocol::CreateWorldRequest;
 use crate::protocol::tensor::{
     BoolArray, DoubleArray, FloatArray, Int8Array, Int64Array, Payload, ProtoArray, StringArray,
     Uint64Array,
@@ -26,7 +27,7 @@ fn limits() -> Limits {
 }
 
 fn sessions(limits: Limits) -> Arc<Sessions> {
-    Sessions::new(limits, Metrics::new(), CancellationToken::new(), 2)
+    Sessions::new(limits, Metrics::new(), CancellationToken::new(), 2).expect("threads")
 }
 
 /// A stream over a connection of its own.
@@ -34,7 +35,7 @@ fn open(sessions: &Arc<Sessions>) -> Session {
     static CONNECTIONS: Number = Number::new(1);
     let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
     let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    Session::new(Arc::clone(sessions), Peer { connection, address, accepted: Arc::default() })
+    Session::new(Arc::clone(sessions), Peer::new(connection, address))
 }
 
 async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
