@@ -10,6 +10,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -29,8 +30,11 @@ from octoarm_env.remote.messages import (
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
 _HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
-_INVALID_ARGUMENT = 3
+_INVALID_ARGUMENT, _FAILED_PRECONDITION = 3, 9
+_VERSION = version("octoarm-env")
 _READY = object()
+_CONNECTING = 10.0
+"""Longest wait for somebody to answer at an address, unless more is asked for [s]."""
 _GOODBYE = 5.0
 """Longest wait in :meth:`Connection.close` for the end of the stream [s]."""
 _PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")
@@ -75,6 +79,8 @@ class Connection:
 
     Args:
         address, token, certificate, timeout: as `RemoteOctoArm` takes them.
+        patience: longest wait for somebody to answer at the address [s]; None: `timeout`, but at
+            most 10 s.
 
     To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
     one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
@@ -92,10 +98,12 @@ class Connection:
         *,
         token: str | None = None,
         certificate: str | Path | None = None,
-        timeout: float = 10.0,
+        timeout: float = 60.0,
+        patience: float | None = None,
     ) -> None:
         host, port, encrypted = _parse(address, certificate)
-        timeout = positive("timeout", timeout, "time [s]")
+        self._timeout = positive("timeout", timeout, "time [s]")
+        patience = min(self._timeout, _CONNECTING) if patience is None else patience
         if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
             # Which is not shown.
             raise ValueError("token: expected a text of printable ASCII characters without spaces")
@@ -112,6 +120,9 @@ class Connection:
         options = [
             ("grpc.use_local_subchannel_pool", 1),
             ("grpc.max_receive_message_length", -1),
+            # A server that is started meanwhile is found soon.
+            ("grpc.initial_reconnect_backoff_ms", 100),
+            ("grpc.max_reconnect_backoff_ms", 1_000),
             ("grpc.keepalive_time_ms", 30_000),
             ("grpc.keepalive_timeout_ms", 20_000),
             *(_DIRECT if local else ()),
@@ -139,7 +150,7 @@ class Connection:
         weakref.finalize(self, self._requests.put, None)
         self._thread = threading.Thread(
             target=_converse,
-            args=(connect, metadata, timeout, self._requests, self._incoming),
+            args=(connect, metadata, patience, self._requests, self._incoming),
             name=f"stream to {self.address}",
             daemon=True,
         )
@@ -148,7 +159,7 @@ class Connection:
             if self._incoming.get() is not _READY:
                 how = "with TLS and a trusted certificate" if encrypted else "without TLS"
                 raise ConnectionError(
-                    f"no server answers at {self.address} {how} within {timeout:g} s{self._proxy}"
+                    f"no server answers at {self.address} {how} within {patience:g} s{self._proxy}"
                 )
         except BaseException:
             self.close()
@@ -187,6 +198,7 @@ class Connection:
             RemoteError: the server refused the request for another reason.
             PermissionError: the server wants a token, or another one.
             ConnectionError: the stream is broken, or was ended before, which the message tells.
+            TimeoutError: an answer took longer than `timeout`; the stream is ended.
         """
         with self.lock:
             hint = "; reset() connects anew and begins an episode" if self.is_lost() else ""
@@ -211,7 +223,14 @@ class Connection:
 
     def answer(self, kind: str) -> Any:
         """Wait, within an :meth:`exchange`, for the next answer, which must be of this kind."""
-        response = self._incoming.get()
+        try:
+            response = self._incoming.get(timeout=self._timeout)
+        except queue.Empty:
+            fault = (
+                f"timeout = {self._timeout:g} s: the server at {self.address} has not answered "
+                f"{kind} within that time"
+            )
+            raise self._broken(fault, TimeoutError) from None
         if response is None:
             raise self._broken(f"the server at {self.address} ended the stream")
         if isinstance(response, BaseException):
@@ -242,7 +261,12 @@ class Connection:
         return kind(fault)
 
     def enter_world(self, settings: Mapping[str, Any]) -> Any:
-        """Make a world and join it; its ActionObservationSpecs."""
+        """Make a world and join it; its ActionObservationSpecs.
+
+        Raises:
+            RemoteError: the server is of another version, or refuses.
+        """
+        self._check_version(str(self.read("version")))
         request = EnvironmentRequest()
         request.create_world.SetInParent()
         for name, value in settings.items():
@@ -252,22 +276,35 @@ class Connection:
         self.post(EnvironmentRequest(join_world={"world_name": world}))
         return self.answer("join_world").specs
 
+    def _check_version(self, found: str) -> None:
+        # Before the first major version, a minor one breaks what there was.
+        if found.split(".")[:2] != _VERSION.split(".")[:2]:
+            raise RemoteError(
+                _FAILED_PRECONDITION,
+                f"the server at {self.address} is octoarm-server {found}, this is octoarm_env "
+                f"{_VERSION}: they go together if the first two numbers are the same; install "
+                "the one that is older anew",
+            )
+
     def read(self, key: str) -> Any:
         """Read a property."""
-        response = self._property(PropertyRequest(read_property={"key": key}))
+        self.post(property_request(PropertyRequest(read_property={"key": key})))
+        response = PropertyResponse.FromString(self.answer("extension").value)
         return unpack(response.read_property.value)
 
-    def write(self, key: str, value: Any) -> None:
-        """Write a property."""
-        message = PropertyRequest(write_property={"key": key})
-        pack(message.write_property.value, value)
-        self._property(message)
 
-    def _property(self, message: Any) -> Any:
-        request = EnvironmentRequest()
-        request.extension.Pack(message)
-        self.post(request)
-        return PropertyResponse.FromString(self.answer("extension").value)
+def write_request(key: str, value: Any) -> Any:
+    """The request that writes a property."""
+    message = PropertyRequest(write_property={"key": key})
+    pack(message.write_property.value, value)
+    return property_request(message)
+
+
+def property_request(message: Any) -> Any:
+    """The request for something of the properties extension."""
+    request = EnvironmentRequest()
+    request.extension.Pack(message)
+    return request
 
 
 def _converse(

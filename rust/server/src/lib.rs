@@ -50,6 +50,7 @@ mod session;
 mod sessions;
 mod settings;
 mod specs;
+mod state;
 mod tensor;
 mod world;
 mod world_settings;

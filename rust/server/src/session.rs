@@ -4,6 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Instant;
 
+use octoarm_env::Autoreset;
 use prost_types::Any;
 use tokio_util::sync::CancellationToken;
 use tonic::Code;
@@ -120,14 +121,14 @@ impl Session {
 
     async fn create(&self, request: CreateWorldRequest) -> Answer<CreateWorldResponse> {
         let settings = WorldSettings::from_tensors(&request.settings, &self.sessions.limits)?;
-        let num_envs = settings.num_envs;
+        let (num_envs, finals) = (settings.num_envs, settings.autoreset == Autoreset::SameStep);
         let arms = (num_envs.unwrap_or(1) as f64 * weight(&settings.config)).ceil() as usize;
         let reservation = self.sessions.worlds.reserve(self.peer.connection, arms)?;
         // The first of a kind swings an arm onto the target, which takes a while; its room is taken
         // until that is done, even if its stream has ended.
         let work = move || (Environment::new(settings), reservation);
         let (environment, reservation) = self.sessions.run_long(work).await?;
-        let world = World::new(name()?, environment?, num_envs);
+        let world = World::new(name()?, environment?, num_envs, finals);
         let world_name = world.name.clone();
         tracing::info!(stream = self.id, arms = world.arms, "world created");
         self.sessions.worlds.insert(world, reservation, self.id);
@@ -164,14 +165,14 @@ impl Session {
     }
 
     fn reset(&self, request: &ResetRequest) -> Answer<ResetResponse> {
-        let next = NextReset::from_tensors(&request.settings)?;
         let world = &self.agent()?.world;
+        let next = NextReset::from_tensors(&request.settings, world.specs.num_envs())?;
         world.environment()?.reset(next);
         Ok(ResetResponse { specs: Some(world.specs.message.clone()) })
     }
 
     async fn reset_world(&self, request: &ResetWorldRequest) -> Answer<ResetWorldResponse> {
-        let next = NextReset::from_tensors(&request.settings)?;
+        let next = NextReset::from_tensors(&request.settings, None)?;
         let own = self.agent().ok().map(|agent| Arc::clone(&agent.world));
         if let Some(world) = own.as_ref().filter(|world| world.name == request.world_name) {
             let mut environment = world.environment()?;
