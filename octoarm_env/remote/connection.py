@@ -26,15 +26,20 @@ from octoarm_env.remote.messages import (
     pack,
     unpack,
 )
+from octoarm_env.remote.tls import diagnose
 
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
 _HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
 _INVALID_ARGUMENT, _FAILED_PRECONDITION = 3, 9
 _VERSION = version("octoarm-env")
+TOKEN_VARIABLE = "OCTOARM_TOKEN"
+"""Environment variable that holds the token where no argument does."""
 _READY = object()
 _CONNECTING = 10.0
 """Longest wait for somebody to answer at an address, unless more is asked for [s]."""
+_QUICK = 0.5
+"""Time after which is looked what stands between if nobody has answered [s]."""
 _GOODBYE = 5.0
 """Longest wait in :meth:`Connection.close` for the end of the stream [s]."""
 _PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")
@@ -127,13 +132,17 @@ class Connection:
             ("grpc.keepalive_timeout_ms", 20_000),
             *(_DIRECT if local else ()),
         ]
+        roots = None if certificate is None else Path(certificate).read_bytes()
         if encrypted:
-            roots = None if certificate is None else Path(certificate).read_bytes()
             credentials = grpc.ssl_channel_credentials(root_certificates=roots)
             connect = partial(grpc.secure_channel, self.address, credentials, options)
         else:
             connect = partial(grpc.insecure_channel, self.address, options)
         metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        self._hint = "" if token else f"; give token or token_file, or set {TOKEN_VARIABLE}"
+        # What a proxy leads to cannot be looked at.
+        seen = local or not self._proxy
+        look = partial(diagnose, host, port, encrypted, roots) if seen else lambda: None
         # Held during an exchange.
         self.lock = threading.RLock()
         # Whether a request was sent whose answer has not been made use of.
@@ -150,13 +159,16 @@ class Connection:
         weakref.finalize(self, self._requests.put, None)
         self._thread = threading.Thread(
             target=_converse,
-            args=(connect, metadata, patience, self._requests, self._incoming),
+            args=(connect, metadata, patience, look, self._requests, self._incoming),
             name=f"stream to {self.address}",
             daemon=True,
         )
         try:
             self._thread.start()
-            if self._incoming.get() is not _READY:
+            first = self._incoming.get()
+            if isinstance(first, str):
+                raise ConnectionError(f"no way to the server at {self.address}: {first}")
+            if first is not _READY:
                 how = "with TLS and a trusted certificate" if encrypted else "without TLS"
                 raise ConnectionError(
                     f"no server answers at {self.address} {how} within {patience:g} s{self._proxy}"
@@ -238,7 +250,7 @@ class Connection:
             if isinstance(response, grpc.Call):
                 code, details = response.code(), response.details()
                 if code == grpc.StatusCode.UNAUTHENTICATED:
-                    refusal = f"the server at {self.address} refuses: {details}"
+                    refusal = f"the server at {self.address} refuses: {details}{self._hint}"
                     raise self._broken(refusal, PermissionError)
                 proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
                 fault = f"{details} ({code.name}){proxy}"
@@ -310,15 +322,16 @@ def property_request(message: Any) -> Any:
 def _converse(
     connect: Callable[[], grpc.Channel],
     metadata: tuple[tuple[str, str], ...],
-    timeout: float,
+    patience: float,
+    diagnose: Callable[[], str | None],
     requests: queue.SimpleQueue[Any],
     answers: queue.SimpleQueue[Any],
 ) -> None:
     """Connect, send the requests up to None, and hand out what comes: in a thread of its own.
 
     Whoever asks touches the queues alone, which an exception from a signal's handler leaves whole;
-    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None; last, when
-    the stream has ended, None or the error.
+    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None, or a text
+    that tells what stands between; last, when the stream has ended, None or the error.
     """
 
     def outgoing() -> Iterator[Any]:
@@ -329,13 +342,20 @@ def _converse(
         answers.put(response := EnvironmentResponse.FromString(data))
         return response
 
-    end: BaseException | None = None
+    end: BaseException | str | None = None
     channel = connect()
     try:
         # Whatever a server says to this, and be it that it knows no such method, there is one.
-        health = channel.unary_unary(_HEALTH).future(b"", timeout=timeout, wait_for_ready=True)
+        health = channel.unary_unary(_HEALTH).future(b"", timeout=patience, wait_for_ready=True)
         health.add_done_callback(lambda call: requests.put(_READY))
-        if requests.get() is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
+        try:
+            first = requests.get(timeout=_QUICK)
+        except queue.Empty:
+            end = diagnose()
+            if end is not None:
+                return
+            first = requests.get()
+        if first is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
             return
         answers.put(_READY)
         for _ in channel.stream_stream(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike
 
 from octoarm_env import _core
@@ -14,7 +15,7 @@ from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.remote.connection import write_request
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
-from octoarm_env.remote.world import INFO, Access, RemoteWorld, world_settings
+from octoarm_env.remote.world import INFO, Access, RemoteWorld, without_token, world_settings
 from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
@@ -93,13 +94,15 @@ class RemoteOctoArm(OctoArmEnv):
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
     :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
     freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
-    token, and goes on in a world of its own on the same server; `spec` holds them too, so that
-    whoever writes it to a file, as Minari does, writes the token.
+    token, and goes on in a world of its own on the same server. `spec` holds the address and
+    `token_file`, but no token: an environment that is made of it takes ``OCTOARM_TOKEN``.
 
     Args:
         address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``
             for TLS.
         token: what a server that asks for one is told; never sent to another machine without TLS.
+            None: the one in `token_file`, or in the environment variable ``OCTOARM_TOKEN``, if any.
+        token_file: a file with the token, which is read whenever a stream begins.
         certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
             None: the machine's usual ones.
         timeout: time that the server may take for an answer [s]; somebody must answer at the
@@ -134,12 +137,13 @@ class RemoteOctoArm(OctoArmEnv):
         address: str = "127.0.0.1:50051",
         *,
         token: str | None = None,
+        token_file: str | Path | None = None,
         certificate: str | Path | None = None,
         timeout: float = 60.0,
         reconnect: bool = False,
         **arguments: Any,
     ) -> None:
-        self._access = Access(address, token, certificate, timeout, reconnect)
+        self._access = Access(address, token, token_file, certificate, timeout, reconnect)
         super().__init__(**arguments)
 
     _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
@@ -148,6 +152,9 @@ class RemoteOctoArm(OctoArmEnv):
 
     def _new_core(self) -> RemoteEpisode:
         return RemoteEpisode(self._access, self._settings)
+
+    def _kept(self, spec: EnvSpec) -> EnvSpec:
+        return without_token(super()._kept(spec))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,7 +15,7 @@ from octoarm_env import _core
 from octoarm_env.arrays import Float
 from octoarm_env.remote.env import RemoteOctoArm
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
-from octoarm_env.remote.world import INFO, Access, RemoteWorld, world_settings
+from octoarm_env.remote.world import INFO, Access, RemoteWorld, without_token, world_settings
 from octoarm_env.settings import EpisodeSettings
 from octoarm_env.vector import Flags, OctoArmVectorEnv
 
@@ -217,7 +218,7 @@ class RemoteOctoArmVectorEnv(OctoArmVectorEnv):
 
     Args:
         num_envs: number of environments N, from 1 to what the server allows.
-        address, token, certificate, timeout, reconnect: as `RemoteOctoArm` takes them.
+        address, token, token_file, certificate, timeout, reconnect: as `RemoteOctoArm` takes them.
         arguments: those of :class:`octoarm_env.OctoArmVectorEnv`, by name; but `target`,
             `amplitude` and `arm` are the same for all. `threads` are the server's: None, as many as
             it allows.
@@ -229,12 +230,13 @@ class RemoteOctoArmVectorEnv(OctoArmVectorEnv):
         address: str = "127.0.0.1:50051",
         *,
         token: str | None = None,
+        token_file: str | Path | None = None,
         certificate: str | Path | None = None,
         timeout: float = 60.0,
         reconnect: bool = False,
         **arguments: Any,
     ) -> None:
-        self._access = Access(address, token, certificate, timeout, reconnect)
+        self._access = Access(address, token, token_file, certificate, timeout, reconnect)
         super().__init__(num_envs, **arguments)
 
     _fixed = OctoArmVectorEnv._fixed | RemoteOctoArm._fixed
@@ -247,6 +249,9 @@ class RemoteOctoArmVectorEnv(OctoArmVectorEnv):
         return RemoteEpisodeBatch(
             self._access, self._settings, max_episode_steps, self.autoreset_mode, threads
         )
+
+    def _kept(self, spec: EnvSpec) -> EnvSpec:
+        return without_token(super()._kept(spec))
 
     def reset(
         self,

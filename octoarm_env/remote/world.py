@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from octoarm_env.arguments import flag
 from octoarm_env.arrays import Float
-from octoarm_env.remote.connection import Connection, write_request
+from octoarm_env.remote.connection import TOKEN_VARIABLE, Connection, write_request
 from octoarm_env.remote.messages import EnvironmentRequest
 from octoarm_env.settings import EpisodeSettings
 
@@ -32,6 +34,7 @@ class Access:
 
     address: str = "127.0.0.1:50051"
     token: str | None = field(default=None, repr=False)
+    token_file: str | Path | None = None
     certificate: str | Path | None = None
     timeout: float = 60.0
     reconnect: bool = False
@@ -39,16 +42,39 @@ class Access:
     def __post_init__(self) -> None:
         """Check what no connection checks."""
         flag("reconnect", self.reconnect)
+        if self.token is not None and self.token_file is not None:
+            raise ValueError("token and token_file: give one of them")
+
+    def _secret(self) -> str | None:
+        """The token as it is now: it may be exchanged while an environment lives."""
+        if self.token is not None:
+            return self.token
+        if self.token_file is None:
+            return os.environ.get(TOKEN_VARIABLE, "").strip() or None
+        lines = Path(self.token_file).read_text(encoding="utf-8").splitlines()
+        words = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+        if len(words) != 1 or len(words[0]) > 2:
+            raise ValueError(
+                f"token_file = {str(self.token_file)!r}: expected one token, on a line of its own"
+            )
+        # Before it may stand its name, as in the server's file.
+        return words[0][-1]
 
     def connect(self, patience: float | None = None) -> Connection:
         """Open a stream, for whose server is waited so long [s]."""
         return Connection(
             self.address,
-            token=self.token,
+            token=self._secret(),
             certificate=self.certificate,
             timeout=self.timeout,
             patience=patience,
         )
+
+
+def without_token(spec: EnvSpec) -> EnvSpec:
+    """A spec as it may be written to a file."""
+    kwargs = {name: value for name, value in spec.kwargs.items() if name != "token"}
+    return replace(spec, kwargs=kwargs)
 
 
 def world_settings(settings: EpisodeSettings) -> dict[str, Any]:

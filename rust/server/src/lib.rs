@@ -52,10 +52,12 @@ mod settings;
 mod specs;
 mod state;
 mod tensor;
+mod tls;
+mod tokens;
 mod world;
 mod world_settings;
 mod worlds;
 
 pub use options::Options;
-pub use server::{ServeError, Server};
+pub use server::{Reloader, ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};

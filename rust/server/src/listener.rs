@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -31,6 +31,19 @@ pub(crate) struct Peer {
     pub(crate) address: SocketAddr,
     /// Whether a call came over it that was let in.
     pub(crate) accepted: Arc<AtomicBool>,
+    /// Calls with a wrong token that came over it.
+    pub(crate) wrong_tokens: Arc<AtomicU32>,
+}
+
+/// Calls with a wrong token after which a connection is closed: who guesses must connect anew.
+const MOST_WRONG_TOKENS: u32 = 3;
+
+/// Number of the last connection.
+static LAST: AtomicU64 = AtomicU64::new(0);
+
+/// Number of the next connection.
+pub(crate) fn next_connection() -> u64 {
+    LAST.load(Ordering::Acquire) + 1
 }
 
 /// Who has sent a request.
@@ -97,7 +110,14 @@ impl AsyncRead for Connection {
             }
             self.probation = None;
         }
-        self.stream.as_mut().poll_read(context, buffer)
+        let read = self.stream.as_mut().poll_read(context, buffer);
+        // The refusals go out; what comes after them is not looked at.
+        let wrong = self.peer.wrong_tokens.load(Ordering::Acquire);
+        if read.is_ready() && wrong >= MOST_WRONG_TOKENS {
+            tracing::info!(address = %self.peer.address, wrong, "connection closed: wrong tokens");
+            return Poll::Ready(Err(io::ErrorKind::PermissionDenied.into()));
+        }
+        read
     }
 }
 
@@ -148,7 +168,6 @@ impl Listener {
     }
 
     async fn next(&self) -> Connection {
-        static NUMBER: AtomicU64 = AtomicU64::new(1);
         // The semaphore is never closed: there is always a permit.
         let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
         let (stream, address) = loop {
@@ -167,10 +186,15 @@ impl Listener {
         let mut stream = TimeoutStream::new(stream);
         stream.set_read_timeout(Some(self.silence));
         stream.set_write_timeout(Some(self.silence));
-        let connection = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let connection = LAST.fetch_add(1, Ordering::AcqRel) + 1;
         Connection {
             stream: Box::pin(stream),
-            peer: Peer { connection, address, accepted: Arc::default() },
+            peer: Peer {
+                connection,
+                address,
+                accepted: Arc::default(),
+                wrong_tokens: Arc::default(),
+            },
             probation: None,
             open: None,
             _permit: permit,

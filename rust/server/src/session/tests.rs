@@ -34,7 +34,8 @@ fn open(sessions: &Arc<Sessions>) -> Session {
     static CONNECTIONS: Number = Number::new(1);
     let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
     let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    Session::new(Arc::clone(sessions), Peer { connection, address, accepted: Arc::default() })
+    let (accepted, wrong_tokens) = (Arc::default(), Arc::default());
+    Session::new(Arc::clone(sessions), Peer { connection, address, accepted, wrong_tokens })
 }
 
 async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
