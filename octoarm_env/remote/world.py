@@ -23,7 +23,12 @@ INFO = ("base_angles", "target", "tracking_error", "reward_tracking", "reward_ac
 """What a step tells of an arm in numbers."""
 
 _KEPT = 64
-"""Requests after which the state is asked for, from which a broken stream is resumed."""
+"""Requests after which the state is asked for, from which a broken stream is resumed.
+
+The state in every answer would make a step of one arm twice as long, and that of 256 longer by a
+quarter; after 64 requests it is a hundredth or less. A lease on the server would cost less, but
+would go with the server.
+"""
 
 T = TypeVar("T")
 
