@@ -63,5 +63,6 @@ register(
 register(
     id="OctoArmRemote-v0",
     entry_point="octoarm_env.remote:RemoteOctoArm",
+    vector_entry_point="octoarm_env.remote:RemoteOctoArmVectorEnv",
     max_episode_steps=500,
 )

@@ -6,7 +6,7 @@ import copy
 import dataclasses
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -36,14 +36,14 @@ class VectorSnapshot:
     """Everything that a vector environment needs to go on; made by its `snapshot`.
 
     Attributes:
-        episodes: the episodes' states as JSON text, exact to the bit.
+        episodes: the episodes' states, exact to the bit: as JSON text, or as the bytes of a server.
         seeds: the seeds that the environments were last given.
         past: what the pictures show of the past; None without a render mode. Snapshots are equal
             whatever their pictures show.
         generator: what draws the seeds of environments that were not given one; None if all were.
     """
 
-    episodes: str = dataclasses.field(repr=False)
+    episodes: str | bytes = dataclasses.field(repr=False)
     seeds: tuple[int | None, ...]
     past: BatchHistory | None = dataclasses.field(default=None, repr=False, compare=False)
     generator: np.random.Generator | None = dataclasses.field(
@@ -93,6 +93,8 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
 
     metadata: dict[str, Any]
     _core: EpisodeBatch
+    _single: ClassVar[type[OctoArmEnv]] = OctoArmEnv
+    """What one of them is, alone."""
 
     def __init__(
         self,
@@ -258,7 +260,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         if not isinstance(snapshot, VectorSnapshot):
             kind = type(snapshot).__name__
             raise TypeError(f"snapshot must be a VectorSnapshot, not {kind}")
-        self._core.load(snapshot.episodes)
+        self._core.load(snapshot.episodes)  # type: ignore[arg-type]  # checked there
         self._seeds = list(snapshot.seeds)
         if snapshot.generator is not None:
             self._np_random = copy.deepcopy(snapshot.generator)
@@ -388,7 +390,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         columns = {
             name: _per_env(name, value, count)
             for name, value in spec.kwargs.items()
-            if name in OctoArmEnv._fixed
+            if name in self._single._fixed
         }
         return [
             dataclasses.replace(

@@ -10,6 +10,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -25,12 +26,20 @@ from octoarm_env.remote.messages import (
     pack,
     unpack,
 )
+from octoarm_env.remote.tls import diagnose
 
 _METHOD = "/dm_env_rpc.v1.Environment/Process"
 _HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
-_INVALID_ARGUMENT = 3
+_INVALID_ARGUMENT, _FAILED_PRECONDITION = 3, 9
+_VERSION = version("octoarm-env")
+TOKEN_VARIABLE = "OCTOARM_TOKEN"
+"""Environment variable that holds the token where no argument does."""
 _READY = object()
+_CONNECTING = 10.0
+"""Longest wait for somebody to answer at an address, unless more is asked for [s]."""
+_QUICK = 0.5
+"""Time after which is looked what stands between if nobody has answered [s]."""
 _GOODBYE = 5.0
 """Longest wait in :meth:`Connection.close` for the end of the stream [s]."""
 _PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")
@@ -75,6 +84,8 @@ class Connection:
 
     Args:
         address, token, certificate, timeout: as `RemoteOctoArm` takes them.
+        patience: longest wait for somebody to answer at the address [s]; None: `timeout`, but at
+            most 10 s.
 
     To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
     one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
@@ -92,10 +103,12 @@ class Connection:
         *,
         token: str | None = None,
         certificate: str | Path | None = None,
-        timeout: float = 10.0,
+        timeout: float = 60.0,
+        patience: float | None = None,
     ) -> None:
         host, port, encrypted = _parse(address, certificate)
-        timeout = positive("timeout", timeout, "time [s]")
+        self._timeout = positive("timeout", timeout, "time [s]")
+        patience = min(self._timeout, _CONNECTING) if patience is None else patience
         if token is not None and not (isinstance(token, str) and re.fullmatch("[!-~]+", token)):
             # Which is not shown.
             raise ValueError("token: expected a text of printable ASCII characters without spaces")
@@ -112,17 +125,24 @@ class Connection:
         options = [
             ("grpc.use_local_subchannel_pool", 1),
             ("grpc.max_receive_message_length", -1),
+            # A server that is started meanwhile is found soon.
+            ("grpc.initial_reconnect_backoff_ms", 100),
+            ("grpc.max_reconnect_backoff_ms", 1_000),
             ("grpc.keepalive_time_ms", 30_000),
             ("grpc.keepalive_timeout_ms", 20_000),
             *(_DIRECT if local else ()),
         ]
+        roots = None if certificate is None else Path(certificate).read_bytes()
         if encrypted:
-            roots = None if certificate is None else Path(certificate).read_bytes()
             credentials = grpc.ssl_channel_credentials(root_certificates=roots)
             connect = partial(grpc.secure_channel, self.address, credentials, options)
         else:
             connect = partial(grpc.insecure_channel, self.address, options)
         metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        self._hint = "" if token else f"; give token or token_file, or set {TOKEN_VARIABLE}"
+        # What a proxy leads to cannot be looked at.
+        seen = local or not self._proxy
+        look = partial(diagnose, host, port, encrypted, roots) if seen else lambda: None
         # Held during an exchange.
         self.lock = threading.RLock()
         # Whether a request was sent whose answer has not been made use of.
@@ -139,16 +159,19 @@ class Connection:
         weakref.finalize(self, self._requests.put, None)
         self._thread = threading.Thread(
             target=_converse,
-            args=(connect, metadata, timeout, self._requests, self._incoming),
+            args=(connect, metadata, patience, look, self._requests, self._incoming),
             name=f"stream to {self.address}",
             daemon=True,
         )
         try:
             self._thread.start()
-            if self._incoming.get() is not _READY:
+            first = self._incoming.get()
+            if isinstance(first, str):
+                raise ConnectionError(f"no way to the server at {self.address}: {first}")
+            if first is not _READY:
                 how = "with TLS and a trusted certificate" if encrypted else "without TLS"
                 raise ConnectionError(
-                    f"no server answers at {self.address} {how} within {timeout:g} s{self._proxy}"
+                    f"no server answers at {self.address} {how} within {patience:g} s{self._proxy}"
                 )
         except BaseException:
             self.close()
@@ -187,6 +210,7 @@ class Connection:
             RemoteError: the server refused the request for another reason.
             PermissionError: the server wants a token, or another one.
             ConnectionError: the stream is broken, or was ended before, which the message tells.
+            TimeoutError: an answer took longer than `timeout`; the stream is ended.
         """
         with self.lock:
             hint = "; reset() connects anew and begins an episode" if self.is_lost() else ""
@@ -211,7 +235,14 @@ class Connection:
 
     def answer(self, kind: str) -> Any:
         """Wait, within an :meth:`exchange`, for the next answer, which must be of this kind."""
-        response = self._incoming.get()
+        try:
+            response = self._incoming.get(timeout=self._timeout)
+        except queue.Empty:
+            fault = (
+                f"timeout = {self._timeout:g} s: the server at {self.address} has not answered "
+                f"{kind} within that time"
+            )
+            raise self._broken(fault, TimeoutError) from None
         if response is None:
             raise self._broken(f"the server at {self.address} ended the stream")
         if isinstance(response, BaseException):
@@ -219,7 +250,7 @@ class Connection:
             if isinstance(response, grpc.Call):
                 code, details = response.code(), response.details()
                 if code == grpc.StatusCode.UNAUTHENTICATED:
-                    refusal = f"the server at {self.address} refuses: {details}"
+                    refusal = f"the server at {self.address} refuses: {details}{self._hint}"
                     raise self._broken(refusal, PermissionError)
                 proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
                 fault = f"{details} ({code.name}){proxy}"
@@ -242,7 +273,12 @@ class Connection:
         return kind(fault)
 
     def enter_world(self, settings: Mapping[str, Any]) -> Any:
-        """Make a world and join it; its ActionObservationSpecs."""
+        """Make a world and join it; its ActionObservationSpecs.
+
+        Raises:
+            RemoteError: the server is of another version, or refuses.
+        """
+        self._check_version(str(self.read("version")))
         request = EnvironmentRequest()
         request.create_world.SetInParent()
         for name, value in settings.items():
@@ -252,36 +288,50 @@ class Connection:
         self.post(EnvironmentRequest(join_world={"world_name": world}))
         return self.answer("join_world").specs
 
+    def _check_version(self, found: str) -> None:
+        # Before the first major version, a minor one breaks what there was.
+        if found.split(".")[:2] != _VERSION.split(".")[:2]:
+            raise RemoteError(
+                _FAILED_PRECONDITION,
+                f"the server at {self.address} is octoarm-server {found}, this is octoarm_env "
+                f"{_VERSION}: they go together if the first two numbers are the same; install "
+                "the one that is older anew",
+            )
+
     def read(self, key: str) -> Any:
         """Read a property."""
-        response = self._property(PropertyRequest(read_property={"key": key}))
+        self.post(property_request(PropertyRequest(read_property={"key": key})))
+        response = PropertyResponse.FromString(self.answer("extension").value)
         return unpack(response.read_property.value)
 
-    def write(self, key: str, value: Any) -> None:
-        """Write a property."""
-        message = PropertyRequest(write_property={"key": key})
-        pack(message.write_property.value, value)
-        self._property(message)
 
-    def _property(self, message: Any) -> Any:
-        request = EnvironmentRequest()
-        request.extension.Pack(message)
-        self.post(request)
-        return PropertyResponse.FromString(self.answer("extension").value)
+def write_request(key: str, value: Any) -> Any:
+    """The request that writes a property."""
+    message = PropertyRequest(write_property={"key": key})
+    pack(message.write_property.value, value)
+    return property_request(message)
+
+
+def property_request(message: Any) -> Any:
+    """The request for something of the properties extension."""
+    request = EnvironmentRequest()
+    request.extension.Pack(message)
+    return request
 
 
 def _converse(
     connect: Callable[[], grpc.Channel],
     metadata: tuple[tuple[str, str], ...],
-    timeout: float,
+    patience: float,
+    diagnose: Callable[[], str | None],
     requests: queue.SimpleQueue[Any],
     answers: queue.SimpleQueue[Any],
 ) -> None:
     """Connect, send the requests up to None, and hand out what comes: in a thread of its own.
 
     Whoever asks touches the queues alone, which an exception from a signal's handler leaves whole;
-    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None; last, when
-    the stream has ended, None or the error.
+    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None, or a text
+    that tells what stands between; last, when the stream has ended, None or the error.
     """
 
     def outgoing() -> Iterator[Any]:
@@ -292,13 +342,20 @@ def _converse(
         answers.put(response := EnvironmentResponse.FromString(data))
         return response
 
-    end: BaseException | None = None
+    end: BaseException | str | None = None
     channel = connect()
     try:
         # Whatever a server says to this, and be it that it knows no such method, there is one.
-        health = channel.unary_unary(_HEALTH).future(b"", timeout=timeout, wait_for_ready=True)
+        health = channel.unary_unary(_HEALTH).future(b"", timeout=patience, wait_for_ready=True)
         health.add_done_callback(lambda call: requests.put(_READY))
-        if requests.get() is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
+        try:
+            first = requests.get(timeout=_QUICK)
+        except queue.Empty:
+            end = diagnose()
+            if end is not None:
+                return
+            first = requests.get()
+        if first is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
             return
         answers.put(_READY)
         for _ in channel.stream_stream(

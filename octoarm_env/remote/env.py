@@ -3,54 +3,42 @@
 from __future__ import annotations
 
 import inspect
-import json
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike
 
 from octoarm_env import _core
 from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
-from octoarm_env.remote.connection import Connection
+from octoarm_env.remote.connection import write_request
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
+from octoarm_env.remote.world import INFO, Access, RemoteWorld, without_token, world_settings
 from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
 
 _RUNNING, _TERMINATED = 1, 2
-_INFO = ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change")
-_OBSERVED = ("spring_lengths", "reward", *_INFO, "failure")
+_OBSERVED = ("spring_lengths", "reward", *INFO, "failure")
 
 
-class RemoteEpisode:
+class RemoteEpisode(RemoteWorld):
     """An episode in a world of its own on a server, with the methods of the compiled `Episode`.
 
-    A seed is in [0, 2**64), a saved episode is JSON text. Errors are a ValueError or TypeError that
-    names the argument, its value and what is allowed; nothing is changed then.
+    A seed is in [0, 2**64). Errors are a ValueError or TypeError that names the argument, its value
+    and what is allowed; nothing is changed then.
     """
 
-    def __init__(self, connection: Connection, settings: EpisodeSettings) -> None:
-        self.connection = connection
-        world: dict[str, Any] = {"max_episode_steps": -1}  # it does not end by itself
-        for name, value in settings.to_dict().items():
-            if isinstance(value, dict):
-                world |= {f"{name}.{field}": entry for field, entry in value.items()}
-            elif value is not None:
-                world[name] = value
-        specs = connection.exchange(lambda: connection.enter_world(world))
-        observations = {spec.name: uid for uid, spec in specs.observations.items()}
-        (self._action,) = (uid for uid, spec in specs.actions.items() if spec.name == "action")
-        self._uids = {name: observations[name] for name in _OBSERVED}
-        lengths = specs.observations[self._uids["spring_lengths"]]
-        self.observation_len = int(lengths.shape[0])
-        self.observation_bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
+    def __init__(self, access: Access, settings: EpisodeSettings) -> None:
+        # It does not end by itself.
+        super().__init__(access, world_settings(settings) | {"max_episode_steps": -1})
+        self.observation_bounds = self.bounds
         self._running = False
 
     def seed(self, seed: int) -> None:
-        self.connection.exchange(lambda: self.connection.write("seed", seed))
+        self.change(write_request("seed", seed), use=lambda answer: None)
 
     def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]:
         request = EnvironmentRequest()
@@ -58,40 +46,26 @@ class RemoteEpisode:
         if phase is not None:
             pack(request.reset.settings["phase"], phase)
 
-        def work() -> tuple[Float, dict[str, Any]]:
-            self.connection.post(request)
-            # A refused reset changes nothing, so nothing may follow it.
-            self.connection.answer("reset")
-            self.connection.post(self._step_request())
-            lengths, _, _, info = self._answer()
+        def use(answer: Any) -> tuple[Float, dict[str, Any]]:
+            lengths, _, _, info = self._result(answer)
             return lengths, info
 
-        return self.connection.exchange(work)
+        return self.change(request, self.step_request(_OBSERVED), use=use)
 
     def step(self, action: ArrayLike) -> tuple[Float, float, bool, dict[str, Any]]:
-        def work() -> tuple[Float, float, bool, dict[str, Any]]:
+        with self.lock:
+            self.assure()
             checked = _core.check_step(action, self._running)
-            request = self._step_request()
-            tensor = request.step.actions[self._action]
-            tensor.doubles.array.extend(checked.tolist())
-            tensor.shape.append(2)
-            self.connection.post(request)
-            return self._answer()
+            request = self.step_request(_OBSERVED)
+            pack(request.step.actions[self._action], checked)
+            return self.change(request, use=self._result)
 
-        return self.connection.exchange(work)
-
-    def _step_request(self) -> Any:
-        request = EnvironmentRequest()
-        request.step.requested_observations.extend(self._uids.values())
-        return request
-
-    def _answer(self) -> tuple[Float, float, bool, dict[str, Any]]:
-        step = self.connection.answer("step")
-        found = step.observations
-        self._running = step.state == _RUNNING
-        terminated = step.state == _TERMINATED
+    def _result(self, answer: Any) -> tuple[Float, float, bool, dict[str, Any]]:
+        found = answer.observations
+        self._running = answer.state == _RUNNING
+        terminated = answer.state == _TERMINATED
         info: dict[str, Any] = {}
-        for name in _INFO:
+        for name in INFO:
             value = unpack(found[self._uids[name]])
             info[name] = value if isinstance(value, np.ndarray) else np.float64(value)
         if terminated:
@@ -100,47 +74,18 @@ class RemoteEpisode:
         return lengths, unpack(found[self._uids["reward"]]), terminated, info
 
     def teacher_action(self) -> Float:
-        return self._table("teacher_action")
+        return self.table("teacher_action")
 
-    def save(self) -> str:
-        return str(self._read("state"))
-
-    def load(self, state: str) -> None:
-        def work() -> None:
-            self.connection.write("state", state)
-            self._running = bool(json.loads(state)["running"])
-
-        self.connection.exchange(work)
-
-    def _read(self, key: str) -> Any:
-        return self.connection.exchange(lambda: self.connection.read(key))
-
-    def _table(self, key: str) -> Float:
-        return np.asarray(self._read(key), np.float64)
-
-    @cached_property
-    def action_range(self) -> float:
-        return float(self._read("action_range"))
-
-    @cached_property
-    def amplitude(self) -> float:
-        return float(self._read("amplitude"))
-
-    @cached_property
-    def period(self) -> float:
-        return float(self._read("period"))
-
-    @property
-    def orbit(self) -> Float:
-        return self._table("orbit")
+    def _loaded(self, begun: bool, ended: Any) -> None:
+        self._running = begun and not ended
 
     @property
     def joints(self) -> Float:
-        return self._table("arm_joints")
+        return self.table("arm_joints")
 
     @property
     def positions(self) -> Float:
-        return self._table("arm_positions")
+        return self.table("arm_positions")
 
 
 class RemoteOctoArm(OctoArmEnv):
@@ -149,29 +94,37 @@ class RemoteOctoArm(OctoArmEnv):
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
     :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
     freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
-    token, and goes on in a world of its own on the same server; `spec` holds them too, so that
-    whoever writes it to a file, as Minari does, writes the token.
+    token, and goes on in a world of its own on the same server. `spec` holds the address and
+    `token_file`, but no token: an environment that is made of it takes ``OCTOARM_TOKEN``.
 
     Args:
         address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``
             for TLS.
         token: what a server that asks for one is told; never sent to another machine without TLS.
+            None: the one in `token_file`, or in the environment variable ``OCTOARM_TOKEN``, if any.
+        token_file: a file with the token, which is read whenever a stream begins.
         certificate: a file (PEM) with the certificate that the server's is signed with, or its own;
             None: the machine's usual ones.
-        timeout: time to wait for the server at the begin [s].
+        timeout: time that the server may take for an answer [s]; somebody must answer at the
+            address within 10 s of it.
+        reconnect: go on by itself where the stream broke, such as over a restart of the server: in
+            a new world that is brought to where the old one stood, so that not a bit of the episode
+            changes. The server may be away for `timeout`.
         arguments: those of :class:`octoarm_env.OctoArmEnv`, by name.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
         ConnectionError: nobody answers; and from any method, when the stream breaks, or was ended
             by an interrupt.
+        TimeoutError: an answer took longer than `timeout`, which ends the stream.
         PermissionError: the server wants a token, or another one.
-        RemoteError: the server refuses, such as for too many worlds.
+        RemoteError: the server refuses, such as for too many worlds, or is of another version.
 
     Ctrl-C, or an exception from a signal's handler, between a request and its answer ends the
     stream: whether the arm made that step is then unknown. Every method but :meth:`reset` and
     :meth:`close` raises ConnectionError from then on; :meth:`reset` goes on in a new world on the
-    same server, as it does where the stream broke. Threads that share an environment take turns, a
+    same server, as it does where the stream broke. With `reconnect` every method goes on, as if
+    what was broken into had not been asked for. Threads that share an environment take turns, a
     request and its answer at a time.
 
     As with the local environment, ``gym.make("OctoArmRemote-v0", address=...)`` adds the time limit
@@ -184,11 +137,13 @@ class RemoteOctoArm(OctoArmEnv):
         address: str = "127.0.0.1:50051",
         *,
         token: str | None = None,
+        token_file: str | Path | None = None,
         certificate: str | Path | None = None,
-        timeout: float = 10.0,
+        timeout: float = 60.0,
+        reconnect: bool = False,
         **arguments: Any,
     ) -> None:
-        self._server = (address, token, certificate, timeout)
+        self._access = Access(address, token, token_file, certificate, timeout, reconnect)
         super().__init__(**arguments)
 
     _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
@@ -196,13 +151,10 @@ class RemoteOctoArm(OctoArmEnv):
     _core: RemoteEpisode  # type: ignore[assignment]  # it does what the compiled one does
 
     def _new_core(self) -> RemoteEpisode:
-        address, token, certificate, timeout = self._server
-        connection = Connection(address, token=token, certificate=certificate, timeout=timeout)
-        try:
-            return RemoteEpisode(connection, self._settings)
-        except BaseException:
-            connection.close()
-            raise
+        return RemoteEpisode(self._access, self._settings)
+
+    def _kept(self, spec: EnvSpec) -> EnvSpec:
+        return without_token(super()._kept(spec))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -213,8 +165,8 @@ class RemoteOctoArm(OctoArmEnv):
         `np_random` then seeds its phases, as at the first reset.
         """
         core = self._core
-        with core.connection.lock:
-            if core is self._core and core.connection.is_lost():
+        with core.lock:
+            if core is self._core and core.is_lost():
                 self._core = self._new_core()
                 self._seeded = False
         return super().reset(seed=seed, options=options)
@@ -222,4 +174,4 @@ class RemoteOctoArm(OctoArmEnv):
     def close(self) -> None:
         """Close the window, if there is one, and the stream; the server frees the world."""
         super().close()
-        self._core.connection.close()
+        self._core.close()

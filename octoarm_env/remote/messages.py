@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from numpy.typing import NDArray
 
 _POOL = descriptor_pool.DescriptorPool()
 """A pool of its own, beside what others have of the protocol."""
@@ -28,26 +29,57 @@ PropertyResponse = _message(f"{_PROPERTIES}.PropertyResponse")
 
 
 def pack(tensor: Any, value: Any) -> None:
-    """Write a number, text or array of numbers into a tensor."""
+    """Write a number, text, bytes, or array of numbers, booleans or unsigned integers."""
     if isinstance(value, np.generic):
         # An integer of NumPy's is one of 64 bits too, not a double.
         value = value.item()
     if isinstance(value, str):
         tensor.strings.array.append(value)
+    elif isinstance(value, bytes):
+        tensor.uint8s.array = value
+        tensor.shape.append(len(value))
     elif isinstance(value, bool):
         tensor.bools.array.append(value)
     elif isinstance(value, int):
         (tensor.uint64s if value >= 0 else tensor.int64s).array.append(value)
     elif isinstance(value, float):
         tensor.doubles.array.append(value)
+    elif isinstance(value, np.ndarray) and value.dtype.kind == "u":
+        tensor.uint64s.array.extend(value.ravel().tolist())
+        tensor.shape.extend(value.shape)
+    elif isinstance(value, np.ndarray) and value.dtype == np.bool_:
+        _fill(tensor.bools, value.astype(np.uint8))
+        tensor.shape.extend(value.shape)
     else:
         array = np.asarray(value, dtype=np.float64)
-        tensor.doubles.array.extend(array.ravel().tolist())
+        _fill(tensor.doubles, array.astype("<f8"))
         tensor.shape.extend(array.shape)
 
 
+def _fill(elements: Any, array: NDArray[Any]) -> None:
+    """Write all elements of a packed field, number 1, as the bytes that they have on the wire."""
+    content = array.tobytes()
+    length, rest = bytearray(), len(content)
+    while rest > 0x7F:
+        length.append(rest & 0x7F | 0x80)
+        rest >>= 7
+    length.append(rest)
+    if content:
+        elements.MergeFromString(b"\x0a" + bytes(length) + content)
+
+
+def _content(elements: Any, dtype: str) -> NDArray[Any]:
+    """Read all elements of a packed field, the message's only one, from the bytes on the wire."""
+    count, content = len(elements.array), elements.SerializeToString()
+    return np.frombuffer(content, dtype, count, len(content) - count * np.dtype(dtype).itemsize)
+
+
 def unpack(tensor: Any) -> Any:
-    """Read a tensor: an array of float64, or, if it has no shape, a number or text.
+    """Read a tensor.
+
+    Returns:
+        Without a shape, a number or text; else an array of float64 or bool, a list of texts, or
+        bytes.
 
     Raises:
         ValueError: a tensor of another kind, or one whose elements do not fill its shape.
@@ -58,8 +90,15 @@ def unpack(tensor: Any) -> Any:
         if len(elements) != 1:
             raise ValueError(f"the server sent a scalar of {len(elements)} elements")
         return elements[0]
-    if kind != "doubles":
-        raise ValueError(f"the server sent an array of {kind}, expected doubles")
-    array = np.fromiter(elements, np.float64, len(elements))
+    if kind == "strings":
+        return list(elements)
+    if kind == "uint8s":
+        return elements
+    if kind == "doubles":
+        array = _content(tensor.doubles, "<f8").astype(np.float64)
+    elif kind == "bools":
+        array = _content(tensor.bools, "u1").astype(np.bool_)
+    else:
+        raise ValueError(f"the server sent an array of {kind}")
     # An array has the shape that is wanted mostly.
     return array if len(tensor.shape) == 1 else array.reshape(tuple(tensor.shape))

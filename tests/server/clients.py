@@ -492,7 +492,10 @@ def assert_same(found: Any, expected: Any) -> None:
             assert_same(one, other)
     elif isinstance(expected, np.ndarray):
         assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
-        assert found.tobytes() == expected.tobytes()
+        if expected.dtype.kind == "O":
+            assert_same(tuple(found), tuple(expected))
+        else:
+            assert found.tobytes() == expected.tobytes()
     else:
         assert repr(found) == repr(expected)
 

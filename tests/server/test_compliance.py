@@ -225,7 +225,7 @@ class TestProperties:
         np.testing.assert_array_equal(extension["teacher_action"], local.teacher_action())
         for key, spec in specs.items():
             assert spec.readable == (key != "seed")
-            assert spec.writable == (key in ("elapsed_steps", "seed", "state"))
+            assert spec.writable == (key in ("elapsed_steps", "seed", "state", "state_bytes"))
             assert not spec.listable
             assert spec.description
 

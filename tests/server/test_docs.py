@@ -151,6 +151,7 @@ def test_every_property_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> Non
     assert set(batch) < set(single)
     assert set(table) == set(single)
     kinds = {"float64": "DOUBLE", "int64": "INT64", "uint64": "UINT64", "object": "STRING"}
+    kinds |= {"bool": "BOOL", "uint8": "UINT8"}
     for key, spec in single.items():
         kind, one, many, access, _ = table[key][1:]
         assert kind == kinds[spec.spec.dtype.name], key

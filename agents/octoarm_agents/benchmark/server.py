@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.benchmark.turns import Advance, Comparison, Contender, Result, take_turns
 from octoarm_agents.common.serving import ServerProcess, find_program
-from octoarm_env import OctoArmEnv
+from octoarm_env import OctoArmEnv, OctoArmVectorEnv
 
 SERVER = "octoarm-server"
 SLEEPING = "octoarm-server --busy-poll 0"
@@ -34,6 +34,8 @@ LOCAL = "OctoArmEnv, no server"
 DEEPMIND = "dm_env_rpc's Connection"
 REMOTE = "RemoteOctoArm"
 """Clients in Python, each alone with the server; and the environment itself."""
+BATCHES = (64, 256)
+"""Arms of the batches that are stepped here and on the server."""
 
 CONNECTIONS = (1, 16, 128)
 PERIODS = (0.01, 0.001)
@@ -59,6 +61,11 @@ Step = Callable[[NDArray[np.float32]], Any]
 
 class LoadError(RuntimeError):
     """A server could not be measured."""
+
+
+def batch_name(arms: int, *, remote: bool) -> str:
+    """Name of a batch of so many arms."""
+    return f"{'RemoteOctoArmVectorEnv' if remote else 'OctoArmVectorEnv, no server,'} of {arms}"
 
 
 def load_name(contender: str, connections: int, period: float) -> str:
@@ -101,9 +108,14 @@ def measure_server(
         }
         left_out = {}
         try:
-            from octoarm_env.remote import RemoteOctoArm
+            from octoarm_env.remote import RemoteOctoArm, RemoteOctoArmVectorEnv
 
             clients[REMOTE] = partial(_stepping, partial(RemoteOctoArm, server))
+            for arms in BATCHES:
+                local = partial(_stepping_many, partial(OctoArmVectorEnv, arms))
+                remote = partial(_stepping_many, partial(RemoteOctoArmVectorEnv, arms, server))
+                clients[batch_name(arms, remote=False)] = local
+                clients[batch_name(arms, remote=True)] = remote
         except ImportError as error:
             left_out[REMOTE] = str(error)
         contenders += [Contender(name, partial(_drive, each)) for name, each in clients.items()]
@@ -125,6 +137,10 @@ def comparisons() -> list[Comparison]:
         for word, sign, unit in (("minus", "−", "µs"), ("over", "/", "×")):
             label = f"{client} {sign} {LOCAL}: a step"
             found.append(Comparison(f"{key}_{word}_local", label, client, LOCAL, unit, MEDIAN))
+    for arms in BATCHES:
+        remote, local = (batch_name(arms, remote=each) for each in (True, False))
+        key, label = f"remote_batch_of_{arms}_over_local", f"{remote} / {local}: steps a second"
+        found.append(Comparison(key, label, remote, local))
     return found
 
 
@@ -166,6 +182,17 @@ def _stepping(make: Callable[[], OctoArmEnv]) -> Iterator[Step]:
         yield env.step
     finally:
         env.close()
+
+
+@contextmanager
+def _stepping_many(make: Callable[[], OctoArmVectorEnv]) -> Iterator[Step]:
+    """All arms under the action of one."""
+    envs = make()
+    try:
+        envs.reset(seed=0)
+        yield lambda action: envs.step(np.broadcast_to(action, (envs.num_envs, 2)))
+    finally:
+        envs.close()
 
 
 @contextmanager

@@ -113,6 +113,12 @@ impl Episode {
         self.task.stage() == Stage::Running
     }
 
+    /// Whether the episode is over: the arm left its domain, or its time is.
+    #[must_use]
+    pub fn ended(&self) -> bool {
+        self.task.stage() == Stage::Over
+    }
+
     /// Steps since the reset.
     #[must_use]
     pub fn elapsed(&self) -> u64 {

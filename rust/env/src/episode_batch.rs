@@ -11,7 +11,7 @@ use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step_of_lanes;
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Task, check_action, check_phase};
+use crate::task::{EpisodeState, Stage, Task, check_actions, check_phase};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -354,13 +354,7 @@ impl EpisodeBatch {
     /// As [`EpisodeBatch::step`].
     pub fn begin_step(&self, actions: &[[f64; 2]]) -> Result<PartialStep, ParameterError> {
         check_len("actions", actions.len(), self.len())?;
-        let actions: Vec<[f64; 2]> = actions
-            .iter()
-            .enumerate()
-            .map(|(index, action)| {
-                check_action(*action, |axis| format!("actions[{index}, {axis}]"))
-            })
-            .collect::<Result<_, _>>()?;
+        let actions = check_actions(actions)?;
         for (index, task) in self.tasks.iter().enumerate() {
             let stops = match task.stage() {
                 Stage::Waiting => true,

@@ -50,5 +50,5 @@ pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
 pub use reward::{Reward, RewardTerms};
 pub use swing::{Snapshot, Swing, SwingRun};
-pub use task::{EpisodeState, check_step};
+pub use task::{EpisodeState, check_actions, check_step};
 pub use teacher::TeacherClock;

@@ -295,6 +295,18 @@ pub(crate) fn check_action(
     Ok(action.map(|value| value.clamp(-1.0, 1.0)))
 }
 
+/// Checks the actions of a batch as the step of one does, and gives them without what rounding in
+/// single precision adds to their bounds.
+///
+/// # Errors
+/// [`ParameterError::OutOfRange`] that names the entry, each of which is in [−1, 1].
+pub fn check_actions(actions: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, ParameterError> {
+    let actions = actions.iter().enumerate();
+    actions
+        .map(|(index, action)| check_action(*action, |axis| format!("actions[{index}, {axis}]")))
+        .collect()
+}
+
 /// Checks what a step is asked: an action, each entry in [−1, 1], of an episode that runs. Gives the
 /// action, without what rounding in single precision adds to its bounds.
 ///

@@ -105,6 +105,18 @@ fn step_infos<'py>(py: Python<'py>, step: &mut BatchStep) -> PyResult<Infos<'py>
     Ok(infos)
 }
 
+/// The actions of a step of so many episodes, (N, 2), after the checks that the step of a batch makes.
+#[pyfunction]
+pub(crate) fn check_actions<'py>(
+    py: Python<'py>,
+    actions: &Bound<'py, PyAny>,
+    num_envs: usize,
+) -> PyResult<Table<'py>> {
+    let (actions, _) = numbers("actions", actions, &[Some(num_envs), Some(2)])?;
+    let actions = octoarm_env::check_actions(pairs_of(&actions)).map_err(invalid)?;
+    table(py, actions.into_flattened(), 2)
+}
+
 #[pymethods]
 impl EpisodeBatch {
     #[new]

@@ -22,7 +22,7 @@ mod _core {
     #[pymodule_export]
     use crate::episode::{check_step, limit_cycle_orbit, limit_cycle_signal};
     #[pymodule_export]
-    use crate::episode_batch::EpisodeBatch;
+    use crate::episode_batch::{EpisodeBatch, check_actions};
     #[pymodule_export]
     use crate::errors::DomainError;
     use crate::errors::invalid;

@@ -3,19 +3,18 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use subtle::ConstantTimeEq;
 use tonic::service::Interceptor;
 use tonic::{Request, Status};
 
 use crate::listener::peer_of;
 use crate::metrics::Metrics;
-use crate::settings::Token;
+use crate::tokens::Tokens;
 
-/// Refuses calls without the token.
+/// Refuses calls without one of the tokens.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
-    /// Without one every call passes.
-    pub(crate) token: Option<Token>,
+    /// Without any every call passes.
+    pub(crate) tokens: Arc<Tokens>,
     /// Where the refused are counted.
     pub(crate) metrics: Arc<Metrics>,
 }
@@ -29,24 +28,34 @@ impl Interceptor for Guard {
             }
             Ok(request)
         };
-        let Some(Token(token)) = &self.token else { return welcome(request) };
+        if self.tokens.is_empty() {
+            return welcome(request);
+        }
         let given = request.metadata().get("authorization").map(|value| value.as_bytes());
         let given = given.and_then(|value| value.split_at_checked(7)).filter(|(scheme, _)| {
             // RFC 7235: the scheme's case does not matter.
             scheme.eq_ignore_ascii_case(b"bearer ")
         });
+        let address = peer.as_ref().map(|peer| peer.address);
         let refusal = match given {
-            // In a time that tells nothing of where they differ.
-            Some((_, given)) if bool::from(given.ct_eq(token.as_bytes())) => {
-                return welcome(request);
+            Some((_, given)) => {
+                // Without a connection it is none of those that there were.
+                let connection = peer.as_ref().map_or(u64::MAX, |peer| peer.connection);
+                if let Some(token) = self.tokens.owner(given, connection) {
+                    tracing::debug!(?address, %token, "call let in");
+                    return welcome(request);
+                }
+                if let Some(peer) = &peer {
+                    peer.wrong_tokens.fetch_add(1, Ordering::AcqRel);
+                }
+                "the token is wrong"
             }
-            Some(_) => "the token is wrong",
             None => {
                 "this server needs a token: send the metadata \"authorization: Bearer <token>\""
             }
         };
         self.metrics.unauthenticated.inc();
-        tracing::debug!(address = ?peer.map(|peer| peer.address), refusal, "call refused");
+        tracing::debug!(?address, refusal, "call refused");
         Err(Status::unauthenticated(refusal))
     }
 }
@@ -54,11 +63,13 @@ impl Interceptor for Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tokens::Token;
 
     #[test]
     fn only_the_token_passes() {
-        let token = Token::new("it", "0123456789abcdef\n").expect("token");
-        let mut guard = Guard { token: Some(token), metrics: Metrics::new() };
+        let tokens = Token::read("it", "0123456789abcdef\n").expect("token");
+        let tokens = Arc::new(Tokens::new(tokens, None));
+        let mut guard = Guard { tokens, metrics: Metrics::new() };
         let mut call = |value: Option<&'static str>| {
             let mut request = Request::new(());
             if let Some(value) = value {
@@ -84,6 +95,10 @@ mod tests {
 
     #[test]
     fn without_a_token_every_call_passes() {
-        assert!(Guard { token: None, metrics: Metrics::new() }.call(Request::new(())).is_ok());
+        assert!(
+            Guard { tokens: Arc::new(Tokens::new(Vec::new(), None)), metrics: Metrics::new() }
+                .call(Request::new(()))
+                .is_ok()
+        );
     }
 }

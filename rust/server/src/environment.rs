@@ -2,14 +2,14 @@
 
 use octoarm_arm::ParameterError;
 use octoarm_env::{
-    Autoreset, Episode, EpisodeBatch, EpisodeConfig, Outcome, PartialStep, Reading, Swing,
+    Episode, EpisodeBatch, EpisodeConfig, Last, Outcome, PartialStep, Reading, Swing, Word,
 };
 
-use crate::protocol::{EnvironmentStateType, StepResponse};
+use crate::protocol::{EnvironmentStateType, StepResponse, Tensor};
 use crate::reply::{Answer, Refusal};
 use crate::specs::{Observation, Specs};
 use crate::tensor;
-use crate::world_settings::{NextReset, WorldSettings, weight};
+use crate::world_settings::{NextReset, Seed, WorldSettings, weight};
 
 /// Time of a physics step of one arm or of eight in lanes, roughly \[µs\].
 const MICROSECONDS_A_STEP: f64 = 10.0;
@@ -72,6 +72,22 @@ impl Episodes {
         steps * weight(self.config()) * MICROSECONDS_A_STEP
     }
 
+    /// Whether every arm has begun an episode.
+    pub(crate) fn begun(&self) -> bool {
+        match self {
+            Self::Single(episode) => episode.running() || episode.ended(),
+            Self::Batch(batch) => batch.begun(),
+        }
+    }
+
+    /// Where every arm stands, as if its episode began there.
+    pub(crate) fn outcomes(&self) -> Vec<Outcome> {
+        match self {
+            Self::Single(episode) => vec![episode.outcome()],
+            Self::Batch(batch) => batch.outcomes(),
+        }
+    }
+
     /// Roughly how long a step takes \[µs\].
     pub(crate) fn microseconds(&self) -> f64 {
         let groups = match self {
@@ -99,32 +115,68 @@ pub(crate) struct Environment {
     running: bool,
     /// How the next episode begins.
     next: NextReset,
+    /// Whether it was asked for.
+    asked: bool,
     /// Whether the generator of phases has a seed.
     seeded: bool,
 }
 
-/// A step's answer: the observations that are wanted of arms with these lengths and outcomes.
+/// What a step has to tell of every arm.
+struct Told<'a> {
+    /// The spring lengths.
+    lengths: &'a dyn Fn() -> Vec<f64>,
+    /// The outcome that they belong to.
+    outcomes: Vec<&'a Outcome>,
+    /// The outcome whose reward and end count, where an episode ended and the next one began.
+    results: Vec<&'a Outcome>,
+    /// The ends of those episodes.
+    lasts: Vec<&'a Last>,
+}
+
+impl<'a> Told<'a> {
+    /// Of arms whose episodes go on, or have come to an end.
+    fn new(lengths: &'a dyn Fn() -> Vec<f64>, outcomes: &'a [Outcome]) -> Self {
+        let outcomes: Vec<&Outcome> = outcomes.iter().collect();
+        Self { lengths, results: outcomes.clone(), outcomes, lasts: Vec::new() }
+    }
+}
+
+/// A word of every outcome.
+fn read(word: Word, outcomes: &[&Outcome], shape: &[i32]) -> Tensor {
+    let outcomes = outcomes.iter().copied();
+    match word.reading {
+        Reading::Number(read) => tensor::doubles(outcomes.map(read).collect(), shape),
+        Reading::Angles(read) => tensor::doubles(outcomes.flat_map(read).collect(), shape),
+        Reading::Flag(read) => tensor::bools(outcomes.map(read).collect(), shape),
+        Reading::Text(read) => {
+            let texts = outcomes.map(|outcome| read(outcome).unwrap_or_default());
+            tensor::strings(texts.collect(), shape)
+        }
+    }
+}
+
+/// A step's answer: the observations that are wanted of what it has to tell.
 fn response(
     state: EnvironmentStateType,
     wanted: &[(u64, Observation)],
     specs: &Specs,
-    lengths: &dyn Fn() -> Vec<f64>,
-    outcomes: &[Outcome],
+    told: &Told<'_>,
 ) -> StepResponse {
+    let is_result = |word: Word| Outcome::RESULT.iter().any(|result| result.name == word.name);
     let tensor = |observation: Observation| {
-        let shape = &specs.shape(observation);
-        let outcomes = outcomes.iter();
+        let shape = &specs.shape(observation, told.lasts.len() as i32);
         match observation {
-            Observation::SpringLengths => tensor::doubles(lengths(), shape),
-            Observation::Word(word) => match word.reading {
-                Reading::Number(read) => tensor::doubles(outcomes.map(read).collect(), shape),
-                Reading::Angles(read) => tensor::doubles(outcomes.flat_map(read).collect(), shape),
-                Reading::Flag(read) => tensor::bools(outcomes.map(read).collect(), shape),
-                Reading::Text(read) => {
-                    let texts = outcomes.map(|outcome| read(outcome).unwrap_or_default());
-                    tensor::strings(texts.collect(), shape)
-                }
-            },
+            Observation::SpringLengths => tensor::doubles((told.lengths)(), shape),
+            Observation::Word(word) if is_result(word) => read(word, &told.results, shape),
+            Observation::Word(word) => read(word, &told.outcomes, shape),
+            Observation::FinalSpringLengths => {
+                let rows = told.lasts.iter().flat_map(|last| last.observation.iter().copied());
+                tensor::doubles(rows.collect(), shape)
+            }
+            Observation::Final(word) => {
+                let ends: Vec<&Outcome> = told.lasts.iter().map(|last| &last.outcome).collect();
+                read(word, &ends, shape)
+            }
         }
     };
     let observations = wanted.iter().map(|(uid, observation)| (*uid, tensor(*observation)));
@@ -134,18 +186,19 @@ fn response(
 impl Environment {
     /// Episodes that wait for their first step.
     pub(crate) fn new(settings: WorldSettings) -> Result<Self, ParameterError> {
-        let WorldSettings { config, seed, num_envs, max_episode_steps, threads } = settings;
+        let WorldSettings { config, seed, num_envs, max_episode_steps, autoreset, threads } =
+            settings;
         let episodes = match num_envs {
             None => Episodes::Single(Box::new(Episode::with_limit(config, max_episode_steps)?)),
             Some(count) => Episodes::Batch(EpisodeBatch::new(
                 &vec![config; count],
                 max_episode_steps,
-                Autoreset::NextStep,
+                autoreset,
                 Some(threads),
             )?),
         };
-        let next = NextReset { seed, phase: None };
-        Ok(Self { episodes, running: false, next, seeded: false })
+        let next = NextReset { seed: seed.map(Seed::First), ..NextReset::default() };
+        Ok(Self { episodes, running: false, next, asked: false, seeded: false })
     }
 
     /// Whether an episode runs.
@@ -157,13 +210,14 @@ impl Environment {
     /// happens.
     pub(crate) fn reset(&mut self, next: NextReset) {
         self.running = false;
-        self.next.overlay(next);
+        self.next.overlay(next, self.asked);
+        self.asked = true;
     }
 
     /// The agent leaves: its episode is over, and what it wanted of the next one too.
     pub(crate) fn leave(&mut self) {
         self.running = false;
-        self.next.phase = None;
+        (self.next.phase, self.next.mask, self.asked) = (None, None, false);
         if self.seeded {
             self.next.seed = None;
         }
@@ -177,7 +231,7 @@ impl Environment {
                 self.seeded = true;
                 self.next.seed = None;
             }
-            Episodes::Batch(_) => self.next.seed = Some(seed),
+            Episodes::Batch(_) => self.next.seed = Some(Seed::First(seed)),
         }
     }
 
@@ -187,7 +241,7 @@ impl Environment {
             Episodes::Single(episode) => episode.running(),
             Episodes::Batch(batch) => batch.begun(),
         };
-        self.next = NextReset::default();
+        (self.next, self.asked) = (NextReset::default(), false);
         self.seeded = true;
     }
 
@@ -197,17 +251,19 @@ impl Environment {
         wanted: &[(u64, Observation)],
         specs: &Specs,
     ) -> Answer<StepResponse> {
-        let NextReset { seed, phase } = self.next;
-        let seed = match seed {
-            Some(seed) => Some(seed),
-            None if self.seeded => None,
-            None => Some(getrandom::u64().map_err(|error| {
+        let NextReset { seed, phase, mask } = &self.next;
+        let phase = *phase;
+        let drawn = if seed.is_some() || self.seeded {
+            None
+        } else {
+            Some(Seed::First(getrandom::u64().map_err(|error| {
                 Refusal::new(tonic::Code::Internal, format!("no random seed: {error}"))
-            })?),
+            })?))
         };
+        let seed = seed.as_ref().or(drawn.as_ref());
         match &mut self.episodes {
             Episodes::Single(episode) => {
-                if let Some(seed) = seed {
+                if let Some(seed) = seed.and_then(|seed| seed.of(0)) {
                     episode.seed(seed);
                 }
                 match phase {
@@ -216,13 +272,12 @@ impl Environment {
                 };
             }
             Episodes::Batch(batch) => {
-                let seeds: Vec<Option<u64>> = (0..batch.len() as u64)
-                    .map(|index| seed.map(|seed| seed.wrapping_add(index)))
-                    .collect();
-                batch.reset(None, &seeds, phase)?;
+                let seeds: Vec<Option<u64>> =
+                    (0..batch.len()).map(|index| seed.and_then(|seed| seed.of(index))).collect();
+                batch.reset(mask.as_deref(), &seeds, phase)?;
             }
         }
-        self.next = NextReset::default();
+        (self.next, self.asked) = (NextReset::default(), false);
         self.seeded = true;
         self.running = true;
         Ok(self.tell(EnvironmentStateType::Running, wanted, specs))
@@ -235,16 +290,15 @@ impl Environment {
         wanted: &[(u64, Observation)],
         specs: &Specs,
     ) -> StepResponse {
-        let (mut outcomes, lengths): (_, Box<dyn Fn() -> Vec<f64>>) = match &self.episodes {
-            Episodes::Single(episode) => {
-                (vec![episode.outcome()], Box::new(|| episode.arm().lengths()))
-            }
-            Episodes::Batch(batch) => (batch.outcomes(), Box::new(|| batch.arms().lengths())),
+        let mut outcomes = self.episodes.outcomes();
+        let lengths = || match &self.episodes {
+            Episodes::Single(episode) => episode.arm().lengths(),
+            Episodes::Batch(batch) => batch.arms().lengths(),
         };
         for outcome in &mut outcomes {
             outcome.truncated = state == EnvironmentStateType::Interrupted;
         }
-        response(state, wanted, specs, &lengths, &outcomes)
+        response(state, wanted, specs, &Told::new(&lengths, &outcomes))
     }
 
     /// Makes the next part of a control period; the answer comes with the last one.
@@ -266,7 +320,9 @@ impl Environment {
                     (_, true) => EnvironmentStateType::Interrupted,
                     _ => EnvironmentStateType::Running,
                 };
-                Ok(Some(response(state, wanted, specs, &|| episode.arm().lengths(), &[outcome])))
+                let lengths = || episode.arm().lengths();
+                let told = Told::new(&lengths, std::slice::from_ref(&outcome));
+                Ok(Some(response(state, wanted, specs, &told)))
             }
             Episodes::Batch(batch) => {
                 let mut step = match advance.step.take() {
@@ -281,9 +337,13 @@ impl Environment {
                     return Ok(None);
                 }
                 let step = step.finish();
-                let lengths = || step.observations.clone();
-                let state = EnvironmentStateType::Running;
-                Ok(Some(response(state, wanted, specs, &lengths, &step.outcomes)))
+                let told = Told {
+                    lengths: &|| step.observations.clone(),
+                    outcomes: step.outcomes.iter().collect(),
+                    results: step.steps().collect(),
+                    lasts: step.lasts.iter().flatten().collect(),
+                };
+                Ok(Some(response(EnvironmentStateType::Running, wanted, specs, &told)))
             }
         }
     }

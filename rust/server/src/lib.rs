@@ -55,12 +55,15 @@ mod session;
 mod sessions;
 mod settings;
 mod specs;
+mod state;
 mod tensor;
+mod tls;
+mod tokens;
 mod world;
 mod world_settings;
 mod worlds;
 
 pub use log::LogRate;
 pub use options::Options;
-pub use server::{ServeError, Server};
+pub use server::{Reloader, ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
@@ -45,6 +45,19 @@ pub(crate) struct Peer {
     pub(crate) watches: Arc<AtomicBool>,
     /// Calls for the health that are not answered to their end.
     pub(crate) calls: Arc<AtomicUsize>,
+    /// Calls with a wrong token that came over it.
+    pub(crate) wrong_tokens: Arc<AtomicU32>,
+}
+
+/// Calls with a wrong token after which a connection is closed: who guesses must connect anew.
+const MOST_WRONG_TOKENS: u32 = 3;
+
+/// Number of the last connection.
+static LAST: AtomicU64 = AtomicU64::new(0);
+
+/// Number of the next connection.
+pub(crate) fn next_connection() -> u64 {
+    LAST.load(Ordering::Acquire) + 1
 }
 
 impl Peer {
@@ -56,6 +69,7 @@ impl Peer {
             accepted: Arc::default(),
             watches: Arc::default(),
             calls: Arc::default(),
+            wrong_tokens: Arc::default(),
         }
     }
 }
@@ -237,7 +251,15 @@ impl AsyncRead for Connection {
                 tracing::debug!(connection, %address, reason, "connection given up");
                 Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
             }
-            Poll::Pending => read,
+            Poll::Pending => {
+                // The refusals go out; what comes after them is not looked at.
+                let wrong = self.peer.wrong_tokens.load(Ordering::Acquire);
+                if read.is_ready() && wrong >= MOST_WRONG_TOKENS {
+                    tracing::info!(address = %self.peer.address, wrong, "connection closed: wrong tokens");
+                    return Poll::Ready(Err(io::ErrorKind::PermissionDenied.into()));
+                }
+                read
+            }
         }
     }
 }
@@ -357,7 +379,6 @@ impl Listener {
     }
 
     async fn next(&self) -> Connection {
-        static NUMBER: AtomicU64 = AtomicU64::new(1);
         let (stream, address) = loop {
             let (stream, address) = self.accept().await;
             if !self.crowded(address) {
@@ -366,7 +387,7 @@ impl Listener {
             self.count("address");
             tracing::debug!(%address, "connection closed: too many from its address");
         };
-        let peer = Peer::new(NUMBER.fetch_add(1, Ordering::Relaxed), address);
+        let peer = Peer::new(LAST.fetch_add(1, Ordering::AcqRel) + 1, address);
         let place = loop {
             // Before the look, lest one is freed in between.
             let freed = self.slots.freed.notified();

@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal as _, Write as _};
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use octoarm_server::{LogFormat, LogRate, Options, Server, Settings};
+use octoarm_server::{LogFormat, LogRate, Options, Reloader, Server, Settings};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::EnvFilter;
@@ -61,11 +61,24 @@ fn told_to_stop() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
+/// Has the files of certificate and tokens read again whenever the process is told to.
+fn reload_when_told(reloader: Reloader) -> io::Result<()> {
+    let mut hangup = signal(SignalKind::hangup())?;
+    tokio::spawn(async move {
+        while hangup.recv().await.is_some() {
+            tracing::info!(signal = "SIGHUP", "told to read certificate and tokens again");
+            reloader.reload();
+        }
+    });
+    Ok(())
+}
+
 async fn serve(settings: Settings, rate: LogRate) -> Result<(), Box<dyn Error>> {
     // Before anybody is told that there is a server to stop.
     let stop = told_to_stop()?;
     tokio::spawn(rate.keep_watch());
     let server = Server::bind(settings).await?;
+    reload_when_told(server.reloader())?;
     let address = server.address()?;
     let scheme = if server.encrypted() { "https" } else { "http" };
     tracing::info!(%address, tls = server.encrypted(), version = env!("CARGO_PKG_VERSION"), "listening");

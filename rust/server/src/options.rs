@@ -8,7 +8,9 @@ use std::time::Duration;
 use clap::Parser;
 use serde::Deserialize;
 
-use crate::settings::{Limits, LogFormat, Settings, SettingsError, TlsIdentity, Token, cores};
+use crate::settings::{Limits, LogFormat, Settings, SettingsError, cores};
+use crate::tls::CertificateFiles;
+use crate::tokens::{self, Token};
 
 /// What can be set, on the command line and under the same names (with `_` for `-`) in a TOML file;
 /// the command line goes before the file.
@@ -39,7 +41,8 @@ pub struct Options {
     /// Private key (PEM) of the certificate.
     #[arg(long, value_name = "FILE")]
     tls_key: Option<PathBuf>,
-    /// File with the token that clients must present as `authorization: Bearer <token>`.
+    /// File with the tokens of which clients must present one as `authorization: Bearer <token>`: one a
+    /// line, with its name and a space before it if it has one.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Worlds at a time [default: 1024].
@@ -272,35 +275,31 @@ impl Options {
             keepalive_timeout: checked!(seconds keepalive_timeout),
             busy_poll: checked!(moment busy_poll),
         };
-        let tls = match (&options.tls_certificate, &options.tls_key) {
+        let tls = match (options.tls_certificate, options.tls_key) {
             (None, None) => None,
-            (Some(certificate), Some(key)) => Some(TlsIdentity {
-                certificate: read_file("tls_certificate", certificate)?,
-                key: read_file("tls_key", key)?,
-                source: format!(
-                    "tls_certificate {}, tls_key {}",
-                    certificate.display(),
-                    key.display()
-                ),
-            }),
+            (Some(certificate), Some(key)) => {
+                read_file("tls_certificate", &certificate)?;
+                read_file("tls_key", &key)?;
+                Some(CertificateFiles { certificate, key })
+            }
             _ => {
                 return Err(SettingsError::Value(
                     "tls_certificate and tls_key go together: give both or none".to_owned(),
                 ));
             }
         };
-        let token = match &options.token_file {
-            Some(path) => Some(Token::new("token_file", &read_file("token_file", path)?)?),
+        let tokens = match &options.token_file {
+            Some(path) => tokens::read_file(path)?,
             None => match std::env::var(TOKEN_VARIABLE) {
-                Ok(text) => Some(Token::new(TOKEN_VARIABLE, &text)?),
-                Err(std::env::VarError::NotPresent) => None,
+                Ok(text) => Token::read(TOKEN_VARIABLE, &text)?,
+                Err(std::env::VarError::NotPresent) => Vec::new(),
                 Err(error) => {
                     return Err(SettingsError::Value(format!("{TOKEN_VARIABLE}: {error}")));
                 }
             },
         };
         let host = options.host.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
-        if !host.is_loopback() && (tls.is_none() || token.is_none()) {
+        if !host.is_loopback() && (tls.is_none() || tokens.is_empty()) {
             return Err(SettingsError::Value(format!(
                 "host = {host} can be reached from other machines: that needs tls_certificate, \
                  tls_key and a token (token_file or {TOKEN_VARIABLE})"
@@ -310,7 +309,8 @@ impl Options {
         Ok(Settings {
             address: SocketAddr::new(host, options.port.unwrap_or(PORT)),
             tls,
-            token,
+            tokens,
+            token_file: options.token_file,
             limits,
             shutdown_timeout: seconds(
                 "shutdown_timeout",

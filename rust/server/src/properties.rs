@@ -1,6 +1,7 @@
 //! The properties extension: what can be read and written beside steps.
 
-use octoarm_arm::ParameterError;
+use octoarm_arm::ArmState;
+use octoarm_env::{Outcome, Reading, Word};
 use prost::Message as _;
 use prost_types::Any;
 use tonic::Code;
@@ -12,9 +13,9 @@ use crate::protocol::extensions::properties::{
     ListPropertyResponse, PropertyRequest, PropertyResponse, PropertySpec, ReadPropertyResponse,
     WritePropertyResponse,
 };
-use crate::protocol::tensor::{Payload, StringArray};
 use crate::protocol::{Tensor, TensorSpec};
 use crate::reply::{Answer, Refusal, quoted};
+use crate::state::{self, Form};
 use crate::tensor;
 
 const REQUEST: &str = "dm_env_rpc.v1.extensions.properties.PropertyRequest";
@@ -35,7 +36,12 @@ enum Property {
     ArmJoints,
     ElapsedSteps,
     Seed,
+    Begun,
+    Ended,
+    /// What a step tells, as it stands now.
+    Word(usize),
     State,
+    StateBytes,
 }
 
 use Property as P;
@@ -44,18 +50,28 @@ impl Property {
     /// Those of the server.
     const UNIVERSAL: [Self; 2] = [P::Version, P::Worlds];
     /// Those of any joined world.
-    const JOINED: [Self; 8] = [
+    const JOINED: [Self; 18] = [
         P::Settings,
         P::ActionRange,
         P::Amplitude,
         P::Period,
         P::Orbit,
         P::TeacherAction,
+        P::ArmPositions,
+        P::ArmJoints,
+        P::Word(0),
+        P::Word(1),
+        P::Word(2),
+        P::Word(3),
+        P::Word(4),
+        P::Begun,
+        P::Ended,
         P::Seed,
         P::State,
+        P::StateBytes,
     ];
-    /// Those of a world with one arm.
-    const SINGLE: [Self; 3] = [P::ArmPositions, P::ArmJoints, P::ElapsedSteps];
+    /// That of a world with one arm.
+    const SINGLE: [Self; 1] = [P::ElapsedSteps];
 
     fn key(self) -> &'static str {
         match self {
@@ -71,7 +87,11 @@ impl Property {
             P::ArmJoints => "arm_joints",
             P::ElapsedSteps => "elapsed_steps",
             P::Seed => "seed",
+            P::Begun => "begun",
+            P::Ended => "ended",
+            P::Word(place) => Outcome::INFO[place].name,
             P::State => "state",
+            P::StateBytes => "state_bytes",
         }
     }
 
@@ -89,7 +109,11 @@ impl Property {
             P::ArmJoints => "Ends of the longitudinal springs, base first [m]",
             P::ElapsedSteps => "Steps of the episode, which max_episode_steps ends",
             P::Seed => "Starts the generator of phases anew; of a batch, with the next reset",
+            P::Begun => "Whether every arm has begun an episode",
+            P::Ended => "Whether each arm's episode is over",
+            P::Word(_) => "As a step observes it, of the arms as they stand",
             P::State => "All that the episodes need to go on exactly where they stand, as JSON",
+            P::StateBytes => "The same as state, as MessagePack",
         }
     }
 
@@ -98,7 +122,7 @@ impl Property {
     }
 
     fn writable(self) -> bool {
-        matches!(self, P::ElapsedSteps | P::Seed | P::State)
+        matches!(self, P::ElapsedSteps | P::Seed | P::State | P::StateBytes)
     }
 
     /// Those that there are for a stream that has joined this environment, or none.
@@ -124,11 +148,6 @@ impl Property {
 /// The environment that a stream has joined.
 pub(crate) type Joined<'a> = Option<&'a mut Environment>;
 
-fn json<T: serde::Serialize>(value: &T) -> Answer<Tensor> {
-    let text = serde_json::to_string(value);
-    text.map(tensor::text).map_err(|error| Refusal::new(Code::Internal, error.to_string()))
-}
-
 fn read(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Tensor> {
     let episodes = match (property, joined) {
         (P::Version, _) => return Ok(tensor::text(env!("CARGO_PKG_VERSION"))),
@@ -152,19 +171,28 @@ fn read(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Tensor
             Ok(tensor::doubles(episode.teacher_action().to_vec(), &[2]))
         }
         (P::TeacherAction, Episodes::Batch(batch)) => table(&batch.teacher_actions()),
-        (P::State, Episodes::Single(episode)) => json(&episode.state()),
-        (P::State, Episodes::Batch(batch)) => json(&batch.state()),
+        (P::Begun, _) => Ok(tensor::bools(vec![episodes.begun()], &[])),
+        (P::Ended, Episodes::Single(episode)) => Ok(tensor::bools(vec![episode.ended()], &[])),
+        (P::Ended, Episodes::Batch(batch)) => {
+            Ok(tensor::bools(batch.ended(), &rows(episodes, &[])))
+        }
+        (P::Word(place), _) => word(Outcome::INFO[place], episodes),
+        (P::State, _) => state::save(episodes, Form::Text),
+        (P::StateBytes, _) => state::save(episodes, Form::Bytes),
         (P::ElapsedSteps, Episodes::Single(episode)) => {
             Ok(tensor::integer(episode.elapsed().cast_signed()))
         }
-        (P::ArmPositions, Episodes::Single(episode)) => {
-            let rows = episode.arm().positions();
-            Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 3]))
+        (P::ArmPositions, _) => {
+            let arms = states(episodes);
+            let flat = arms.iter().flat_map(|arm| arm.positions().into_flattened()).collect();
+            Ok(tensor::doubles(flat, &rows(episodes, &[planes(episodes), 3])))
         }
-        (P::ArmJoints, Episodes::Single(episode)) => {
-            let planes = episode.arm().joints();
-            let flat = planes.as_flattened().as_flattened().to_vec();
-            Ok(tensor::doubles(flat, &[planes.len() as i32, 4, 3]))
+        (P::ArmJoints, _) => {
+            let body = &episodes.config().arm;
+            let arms = states(episodes);
+            let joints = arms.iter().flat_map(|arm| arm.joints(body));
+            let flat = joints.flatten().flatten().collect();
+            Ok(tensor::doubles(flat, &rows(episodes, &[planes(episodes), 4, 3])))
         }
         _ => {
             Err(Refusal::new(Code::PermissionDenied, format!("{} cannot be read", property.key())))
@@ -172,8 +200,41 @@ fn read(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Tensor
     }
 }
 
-fn state_error(error: ParameterError) -> Refusal {
-    Refusal::invalid(format!("state: {error}"))
+/// A shape for one arm, with the batch's size before it if there is one.
+fn rows(episodes: &Episodes, shape: &[i32]) -> Vec<i32> {
+    match episodes {
+        Episodes::Single(_) => shape.to_vec(),
+        Episodes::Batch(batch) => [&[batch.len() as i32], shape].concat(),
+    }
+}
+
+/// Number of an arm's planes.
+fn planes(episodes: &Episodes) -> i32 {
+    episodes.config().arm.compartments as i32 + 1
+}
+
+fn states(episodes: &Episodes) -> Vec<ArmState> {
+    match episodes {
+        Episodes::Single(episode) => vec![episode.state().arm],
+        Episodes::Batch(batch) => batch.arms().states(),
+    }
+}
+
+/// A word for all arms as they stand.
+fn word(word: Word, episodes: &Episodes) -> Answer<Tensor> {
+    let outcomes = episodes.outcomes();
+    let outcomes = outcomes.iter();
+    match word.reading {
+        Reading::Number(read) => {
+            Ok(tensor::doubles(outcomes.map(read).collect(), &rows(episodes, &[])))
+        }
+        Reading::Angles(read) => {
+            Ok(tensor::doubles(outcomes.flat_map(read).collect(), &rows(episodes, &[2])))
+        }
+        Reading::Flag(_) | Reading::Text(_) => {
+            Err(Refusal::new(Code::PermissionDenied, format!("{} cannot be read", word.name)))
+        }
+    }
 }
 
 fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<()> {
@@ -199,23 +260,8 @@ fn write(property: Property, value: &Tensor, joined: &mut Joined<'_>) -> Answer<
                 ))
             })?);
         }
-        (P::State, episodes) => {
-            let text = match &value.payload {
-                Some(Payload::Strings(StringArray { array })) if array.len() == 1 => &array[0],
-                _ => return Err(Refusal::invalid("state: expected one text, as it was read")),
-            };
-            match episodes {
-                Episodes::Single(episode) => {
-                    let state = octoarm_arm::read_json(text);
-                    state.and_then(|state| episode.set_state(&state)).map_err(state_error)?;
-                }
-                Episodes::Batch(batch) => {
-                    let state = octoarm_arm::read_json(text);
-                    state.and_then(|state| batch.set_state(&state)).map_err(state_error)?;
-                }
-            }
-            environment.restored();
-        }
+        (P::State, _) => state::load(environment, value, Form::Text)?,
+        (P::StateBytes, _) => state::load(environment, value, Form::Bytes)?,
         _ => {
             let message = format!("{key} cannot be written");
             return Err(Refusal::new(Code::PermissionDenied, message));
@@ -229,6 +275,7 @@ fn spec(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Proper
         P::Settings => tensor::text(""),
         P::Seed => tensor::unsigned(0),
         P::State => tensor::text(""),
+        P::StateBytes => Tensor { shape: vec![-1], ..tensor::bytes(Vec::new()) },
         _ => read(property, worlds, joined)?,
     };
     Ok(PropertySpec {

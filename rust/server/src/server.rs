@@ -13,20 +13,21 @@ use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::service::interceptor::InterceptedService;
-use tonic::transport::server::ServerTlsConfig;
-use tonic::transport::{Identity, Server as Transport};
+use tonic::transport::Server as Transport;
 use tonic_health::ServingStatus;
 
 use crate::auth::Guard;
 use crate::codec::EnvironmentServer;
 use crate::intake::{Intake, Room};
 use crate::limits::fit_open_files;
-use crate::listener::{ConnectionLimits, Listener, connections};
+use crate::listener::{ConnectionLimits, Listener, connections, next_connection};
 use crate::metrics::Metrics;
 use crate::protocol::DESCRIPTORS;
 use crate::service::Service;
 use crate::sessions::Sessions;
 use crate::settings::Settings;
+use crate::tls::Tls;
+use crate::tokens::{Tokens, warn_if_open};
 
 /// Bytes of requests on their way to a connection's streams.
 const CONNECTION_WINDOW: u32 = 2 << 20;
@@ -65,8 +66,31 @@ pub enum ServeError {
 pub struct Server {
     settings: Settings,
     transport: Transport,
+    tls: Option<Arc<Tls>>,
+    tokens: Arc<Tokens>,
     listener: TcpListener,
     metrics: Option<TcpListener>,
+}
+
+/// What a server that serves can still be told.
+#[derive(Clone, Debug)]
+pub struct Reloader {
+    tls: Option<Arc<Tls>>,
+    tokens: Arc<Tokens>,
+}
+
+impl Reloader {
+    /// Reads the files of certificate, key and tokens again, for the connections from now on; those
+    /// that there are go on with what they began with. What cannot be used changes nothing, which the
+    /// log tells.
+    pub fn reload(&self) {
+        let certificate = self.tls.as_ref().map_or(Ok(()), |tls| tls.reload());
+        let tokens = self.tokens.reload(next_connection()).map_err(|error| error.to_string());
+        for error in [certificate, tokens].into_iter().filter_map(Result::err) {
+            tracing::error!("not reloaded: {error}");
+        }
+        tracing::info!("certificate and tokens read again");
+    }
 }
 
 async fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
@@ -148,20 +172,18 @@ impl Server {
         if let Some(age) = limits.max_connection_age {
             transport = transport.max_connection_age(age);
         }
-        if let Some(tls) = &settings.tls {
-            let identity = Identity::from_pem(&tls.certificate, &tls.key);
-            let config =
-                ServerTlsConfig::new().identity(identity).timeout(limits.keepalive_timeout);
-            transport = transport.tls_config(config).map_err(|error| {
-                ServeError::Transport(format!("{}: {}", tls.source, with_causes(&error)))
-            })?;
+        let tls = settings.tls.clone().map(|files| Tls::new(files, limits.keepalive_timeout));
+        let tls = tls.transpose().map_err(ServeError::Transport)?.map(Arc::new);
+        if let Some(files) = &settings.tls {
+            warn_if_open("tls_key", &files.key);
         }
+        let tokens = Tokens::new(settings.tokens.clone(), settings.token_file.clone());
         let listener = listen(settings.address).await?;
         let metrics = match settings.metrics {
             None => None,
             Some(address) => Some(listen(address).await?),
         };
-        Ok(Self { settings, transport, listener, metrics })
+        Ok(Self { settings, transport, tls, tokens: Arc::new(tokens), listener, metrics })
     }
 
     /// Where clients connect.
@@ -180,6 +202,12 @@ impl Server {
         self.metrics.as_ref().map(address_of).transpose()
     }
 
+    /// What tells the server, while it serves, that its files have changed.
+    #[must_use]
+    pub fn reloader(&self) -> Reloader {
+        Reloader { tls: self.tls.clone(), tokens: Arc::clone(&self.tokens) }
+    }
+
     /// Whether clients must speak TLS.
     #[must_use]
     pub fn encrypted(&self) -> bool {
@@ -192,7 +220,7 @@ impl Server {
     /// # Errors
     /// [`ServeError::Transport`] for a certificate or key that cannot be used.
     pub async fn serve(self, shutdown: impl Future<Output = ()>) -> Result<(), ServeError> {
-        let Self { settings, transport, listener, metrics: metrics_listener } = self;
+        let Self { settings, transport, tls, tokens, listener, metrics: metrics_listener } = self;
         let limits = settings.limits.clone();
         let metrics = Metrics::new();
         let stop = CancellationToken::new();
@@ -204,7 +232,7 @@ impl Server {
 
         let (health, health_service) = tonic_health::server::health_reporter();
         health.set_serving::<EnvironmentServer<Service>>().await;
-        let guard = Guard { token: settings.token.clone(), metrics: Arc::clone(&metrics) };
+        let guard = Guard { tokens, metrics: Arc::clone(&metrics) };
         let environment = EnvironmentServer::new(Service { sessions: Arc::clone(&sessions), room })
             .max_decoding_message_size(limits.max_message_size);
         let reflection = |error: tonic_reflection::server::Error| transport_error(&error);
@@ -250,7 +278,15 @@ impl Server {
         );
         let serving = {
             let stop = stop.clone();
-            router.serve_with_incoming_shutdown(incoming, async move { stop.cancelled().await })
+            async move {
+                let stopped = async move { stop.cancelled().await };
+                match tls {
+                    None => router.serve_with_incoming_shutdown(incoming, stopped).await,
+                    Some(tls) => {
+                        router.serve_with_incoming_shutdown(tls.secured(incoming), stopped).await
+                    }
+                }
+            }
         };
         let mut serving = std::pin::pin!(serving);
         let result = tokio::select! {

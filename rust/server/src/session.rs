@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use octoarm_arm::ParameterError;
-use octoarm_env::{Swing, SwingRun};
+use octoarm_env::{Autoreset, Swing, SwingRun};
 use prost_types::Any;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status};
@@ -220,6 +220,7 @@ impl Session {
     async fn create(&self, settings: WorldSettings) -> Answer<CreateWorldResponse> {
         self.sessions.refuse_while_draining()?;
         let (num_envs, count) = (settings.num_envs, settings.num_envs.unwrap_or(1));
+        let finals = settings.autoreset == Autoreset::SameStep;
         let arms = (count as f64 * weight(&settings.config)).ceil() as usize;
         let worlds = &self.sessions.worlds;
         let reservation = worlds.reserve(self.peer.connection, arms, memory(&settings))?;
@@ -243,7 +244,7 @@ impl Session {
             None => self.sessions.pool(microseconds).run(self.peer.connection, part).await??,
         };
         let reservation = reservation.ok_or_else(failed)?;
-        let world = World::new(name()?, environment, num_envs);
+        let world = World::new(name()?, environment, num_envs, finals);
         let world_name = world.name.clone();
         tracing::info!(stream = self.id, arms = world.arms, "world created");
         worlds.insert(world, reservation, self.id);
@@ -294,14 +295,14 @@ impl Session {
     }
 
     fn reset(&self, request: &ResetRequest) -> Answer<ResetResponse> {
-        let next = NextReset::from_tensors(&request.settings)?;
         let world = &self.agent()?.world;
+        let next = NextReset::from_tensors(&request.settings, world.specs.num_envs())?;
         world.environment()?.reset(next);
         Ok(ResetResponse { specs: Some(world.specs.message.clone()) })
     }
 
     async fn reset_world(&self, request: &ResetWorldRequest) -> Answer<ResetWorldResponse> {
-        let next = NextReset::from_tensors(&request.settings)?;
+        let next = NextReset::from_tensors(&request.settings, None)?;
         let own = self.agent().ok().map(|agent| Arc::clone(&agent.world));
         if let Some(world) = own.as_ref().filter(|world| world.name == request.world_name) {
             let mut environment = world.environment()?;

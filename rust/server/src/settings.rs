@@ -1,11 +1,15 @@
 //! What a server goes by, checked.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::ValueEnum;
 use serde::Deserialize;
 use thiserror::Error;
+
+use crate::tls::CertificateFiles;
+use crate::tokens::Token;
 
 /// How log lines look.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ValueEnum)]
@@ -79,53 +83,14 @@ pub(crate) struct Limits {
     pub(crate) busy_poll: Duration,
 }
 
-/// Fewest characters of a token: what is shorter can be guessed.
-const SHORTEST_TOKEN: usize = 16;
-
-/// A secret; it is never shown.
-#[derive(Clone)]
-pub(crate) struct Token(pub(crate) String);
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Token")
-    }
-}
-
-impl Token {
-    /// The token in a text, without the white space around it.
-    pub(crate) fn new(source: &str, text: &str) -> Result<Self, SettingsError> {
-        let text = text.trim();
-        if text.len() < SHORTEST_TOKEN || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
-            return Err(SettingsError::Value(format!(
-                "{source}: a token is at least {SHORTEST_TOKEN} printable ASCII characters without spaces"
-            )));
-        }
-        Ok(Self(text.to_owned()))
-    }
-}
-
-/// A certificate and its key, PEM.
-#[derive(Clone)]
-pub(crate) struct TlsIdentity {
-    pub(crate) certificate: String,
-    pub(crate) key: String,
-    /// Where both come from, for messages.
-    pub(crate) source: String,
-}
-
-impl std::fmt::Debug for TlsIdentity {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("TlsIdentity")
-    }
-}
-
 /// Checked settings of a server.
 #[derive(Clone, Debug)]
 pub struct Settings {
     pub(crate) address: SocketAddr,
-    pub(crate) tls: Option<TlsIdentity>,
-    pub(crate) token: Option<Token>,
+    pub(crate) tls: Option<CertificateFiles>,
+    pub(crate) tokens: Vec<Token>,
+    /// Where the tokens are, if they can be exchanged.
+    pub(crate) token_file: Option<PathBuf>,
     pub(crate) limits: Limits,
     pub(crate) shutdown_timeout: Duration,
     /// Time that episodes may go on when the server is asked to end.

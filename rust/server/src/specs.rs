@@ -18,50 +18,51 @@ pub(crate) enum Observation {
     SpringLengths,
     /// What an outcome holds.
     Word(Word),
+    /// The last spring lengths of the arms whose episode ended in this step and began anew within it.
+    FinalSpringLengths,
+    /// What the last outcome of those arms holds.
+    Final(Word),
 }
 
 impl Observation {
-    /// All of them, in the order of their numbers.
-    pub(crate) fn all() -> impl Iterator<Item = Self> {
+    /// All of them, in the order of their numbers; `finals` are there where a step that ends an
+    /// episode begins the next one.
+    pub(crate) fn all(finals: bool) -> impl Iterator<Item = Self> {
         let [reward, terminated, truncated] = Outcome::RESULT;
         let words = [reward].into_iter().chain(Outcome::INFO).chain([terminated, truncated]);
-        std::iter::once(Self::SpringLengths).chain(words.map(Self::Word))
-    }
-
-    /// The observation of a number on the wire.
-    fn of(uid: u64) -> Answer<Self> {
-        let place = usize::try_from(uid).ok().and_then(|uid| uid.checked_sub(1));
-        place.and_then(|place| Self::all().nth(place)).ok_or_else(|| {
-            Refusal::invalid(format!(
-                "observation {uid} is unknown; known are 1 to {}",
-                Self::all().count()
-            ))
-        })
+        let all = std::iter::once(Self::SpringLengths).chain(words.map(Self::Word));
+        let last = std::iter::once(Self::FinalSpringLengths).chain(Outcome::INFO.map(Self::Final));
+        all.chain(last.filter(move |_| finals))
     }
 
     /// The name, as in Gymnasium's `info` where it is there.
-    fn name(self) -> &'static str {
+    fn name(self) -> String {
         match self {
-            Self::SpringLengths => "spring_lengths",
-            Self::Word(word) => word.name,
+            Self::SpringLengths => "spring_lengths".to_owned(),
+            Self::Word(word) => word.name.to_owned(),
+            Self::FinalSpringLengths => "final_spring_lengths".to_owned(),
+            Self::Final(word) => format!("final_{}", word.name),
         }
     }
 
     fn data_type(self) -> DataType {
         match self {
-            Self::Word(Word { reading: Reading::Flag(_), .. }) => DataType::Bool,
-            Self::Word(Word { reading: Reading::Text(_), .. }) => DataType::String,
-            _ => DataType::Double,
+            Self::Word(word) | Self::Final(word) => match word.reading {
+                Reading::Flag(_) => DataType::Bool,
+                Reading::Text(_) => DataType::String,
+                Reading::Number(_) | Reading::Angles(_) => DataType::Double,
+            },
+            Self::SpringLengths | Self::FinalSpringLengths => DataType::Double,
         }
     }
 
     fn bounds(self, config: &EpisodeConfig, amplitude: f64) -> [Option<f64>; 2] {
         match self {
-            Self::SpringLengths => {
+            Self::SpringLengths | Self::FinalSpringLengths => {
                 let (low, high) = config.observation_bounds();
                 [Some(low), Some(high)]
             }
-            Self::Word(word) => (word.bounds)(config, amplitude),
+            Self::Word(word) | Self::Final(word) => (word.bounds)(config, amplitude),
         }
     }
 }
@@ -73,6 +74,8 @@ pub(crate) struct Specs {
     lengths: i32,
     /// Episodes of a batch.
     batch: Option<i32>,
+    /// Whether a step that ends an episode begins the next one.
+    finals: bool,
     /// As they are sent.
     pub(crate) message: ActionObservationSpecs,
 }
@@ -83,17 +86,24 @@ fn bound(value: f64) -> Value {
 
 impl Specs {
     /// Of a world of these settings, whose target has the given amplitude.
-    pub(crate) fn new(config: &EpisodeConfig, amplitude: f64, num_envs: Option<usize>) -> Self {
+    pub(crate) fn new(
+        config: &EpisodeConfig,
+        amplitude: f64,
+        num_envs: Option<usize>,
+        finals: bool,
+    ) -> Self {
         let mut specs = Self {
             lengths: 4 * config.arm.compartments as i32,
             batch: num_envs.map(|count| count as i32),
+            finals,
             message: ActionObservationSpecs::default(),
         };
-        for (observation, uid) in Observation::all().zip(1..) {
+        for (observation, uid) in Observation::all(finals).zip(1..) {
             let [min, max] = observation.bounds(config, amplitude);
             let spec = TensorSpec {
-                name: observation.name().to_owned(),
-                shape: specs.shape(observation),
+                name: observation.name(),
+                // As many rows as episodes ended: any number.
+                shape: specs.shape(observation, -1),
                 dtype: observation.data_type() as i32,
                 min: min.map(bound),
                 max: max.map(bound),
@@ -120,20 +130,42 @@ impl Specs {
         self.rows(&[2])
     }
 
-    /// An observation's shape.
-    pub(crate) fn shape(&self, observation: Observation) -> Vec<i32> {
+    /// An observation's shape, when so many episodes ended.
+    pub(crate) fn shape(&self, observation: Observation, ended: i32) -> Vec<i32> {
+        let of_one: &[i32] = match observation {
+            Observation::SpringLengths | Observation::FinalSpringLengths => &[self.lengths],
+            Observation::Word(word) | Observation::Final(word) => match word.reading {
+                Reading::Angles(_) => &[2],
+                _ => &[],
+            },
+        };
         match observation {
-            Observation::SpringLengths => self.rows(&[self.lengths]),
-            Observation::Word(Word { reading: Reading::Angles(_), .. }) => self.rows(&[2]),
-            Observation::Word(_) => self.rows(&[]),
+            Observation::SpringLengths | Observation::Word(_) => self.rows(of_one),
+            Observation::FinalSpringLengths | Observation::Final(_) => [&[ended], of_one].concat(),
         }
+    }
+
+    /// Number of episodes of a batch.
+    pub(crate) fn num_envs(&self) -> Option<usize> {
+        self.batch.map(|count| count as usize)
+    }
+
+    /// The observation of a number on the wire.
+    fn observation(&self, uid: u64) -> Answer<Observation> {
+        let place = usize::try_from(uid).ok().and_then(|uid| uid.checked_sub(1));
+        place.and_then(|place| Observation::all(self.finals).nth(place)).ok_or_else(|| {
+            Refusal::invalid(format!(
+                "observation {uid} is unknown; known are 1 to {}",
+                Observation::all(self.finals).count()
+            ))
+        })
     }
 
     /// What a step is to bring, each once, with its number on the wire.
     pub(crate) fn wanted(&self, request: &StepRequest) -> Answer<Vec<(u64, Observation)>> {
         let mut wanted = Vec::with_capacity(request.requested_observations.len().min(16));
         for uid in &request.requested_observations {
-            let observation = Observation::of(*uid)?;
+            let observation = self.observation(*uid)?;
             if wanted.iter().all(|(known, _)| known != uid) {
                 wanted.push((*uid, observation));
             }

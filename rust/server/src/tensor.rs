@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::protocol::tensor::{
-    BoolArray, DoubleArray, Int64Array, Payload, StringArray, Uint64Array,
+    BoolArray, DoubleArray, Int64Array, Payload, StringArray, Uint8Array, Uint64Array,
 };
 use crate::protocol::{DataType, Tensor};
 use crate::reply::{Answer, Refusal};
@@ -30,6 +30,12 @@ pub(crate) fn bools(array: Vec<bool>, shape: &[i32]) -> Tensor {
 /// A tensor of texts.
 pub(crate) fn strings(array: Vec<String>, shape: &[i32]) -> Tensor {
     Tensor { payload: Some(Payload::Strings(StringArray { array })), shape: shape.to_vec() }
+}
+
+/// A row of bytes.
+pub(crate) fn bytes(array: Vec<u8>) -> Tensor {
+    let shape = vec![array.len() as i32];
+    Tensor { payload: Some(Payload::Uint8s(Uint8Array { array })), shape }
 }
 
 /// One integer.

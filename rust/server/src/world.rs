@@ -45,12 +45,23 @@ pub(crate) struct World {
 }
 
 impl World {
-    /// A world of this name and environment.
-    pub(crate) fn new(name: String, environment: Environment, num_envs: Option<usize>) -> Self {
+    /// A world of this name and environment; `finals` are told where a step that ends an episode
+    /// begins the next one.
+    pub(crate) fn new(
+        name: String,
+        environment: Environment,
+        num_envs: Option<usize>,
+        finals: bool,
+    ) -> Self {
         let episodes = &environment.episodes;
         Self {
             name,
-            specs: Specs::new(episodes.config(), episodes.swing().orbit.amplitude(), num_envs),
+            specs: Specs::new(
+                episodes.config(),
+                episodes.swing().orbit.amplitude(),
+                num_envs,
+                finals,
+            ),
             arms: episodes.len(),
             microseconds: episodes.microseconds(),
             environment: Mutex::new(environment),

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 use octoarm_arm::{ArmLanes, ArmParameters, read_fields};
-use octoarm_env::{CheckedConfig, EpisodeConfig, Swing, TargetName};
+use octoarm_env::{Autoreset, CheckedConfig, EpisodeConfig, Swing, TargetName};
 use serde_json::{Map, Value};
 
 use crate::protocol::Tensor;
@@ -33,21 +33,44 @@ pub(crate) struct WorldSettings {
     pub(crate) num_envs: Option<usize>,
     /// Steps after which an episode is truncated.
     pub(crate) max_episode_steps: Option<u64>,
+    /// What happens when an episode of a batch has ended.
+    pub(crate) autoreset: Autoreset,
     /// Threads that share a batch's step.
     pub(crate) threads: usize,
 }
 
+/// What starts the generators of phases anew.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Seed {
+    /// Episode i of a batch takes this number + i.
+    First(u64),
+    /// An entry an episode of a batch; without a number its generator goes on.
+    Each(Vec<Option<u64>>),
+}
+
+impl Seed {
+    /// The seed of an episode.
+    pub(crate) fn of(&self, index: usize) -> Option<u64> {
+        match self {
+            Self::First(seed) => Some(seed.wrapping_add(index as u64)),
+            Self::Each(seeds) => seeds.get(index).copied().flatten(),
+        }
+    }
+}
+
 /// How the next episode begins.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct NextReset {
-    /// Starts the generator of phases anew.
-    pub(crate) seed: Option<u64>,
+    /// Starts the generators of phases anew.
+    pub(crate) seed: Option<Seed>,
     /// Where on the target, in turns from 0 to 1; without one it is drawn.
     pub(crate) phase: Option<f64>,
+    /// Which episodes of a batch begin anew; without it, all.
+    pub(crate) mask: Option<Vec<bool>>,
 }
 
 /// What is the world's beside the episode's own settings.
-const FRAME: [&str; 4] = ["seed", "num_envs", "max_episode_steps", "threads"];
+const FRAME: [&str; 5] = ["seed", "num_envs", "max_episode_steps", "autoreset_mode", "threads"];
 
 fn out_of_range(name: &str, value: impl std::fmt::Display, range: &str) -> Refusal {
     Refusal::invalid(format!("{name} = {value} is outside the allowed range {range}"))
@@ -156,9 +179,16 @@ impl WorldSettings {
         let num_envs = frame.get("num_envs");
         let num_envs =
             num_envs.map(|value| count("num_envs", value, limits.max_num_envs)).transpose()?;
-        let threads = frame
-            .get("threads")
-            .map_or(Ok(1), |value| count("threads", value, limits.max_threads))?;
+        let threads = match frame.get("threads") {
+            None => 1,
+            // As many as there may be.
+            Some(value) if value.as_i64() == Some(0) => limits.max_threads,
+            Some(value) => count("threads", value, limits.max_threads)?,
+        };
+        let autoreset = match frame.get("autoreset_mode") {
+            None => Autoreset::NextStep,
+            Some(value) => autoreset(value, num_envs)?,
+        };
         if config.arm.compartments > limits.max_compartments {
             let range = format!("[1, {}] of this server", limits.max_compartments);
             return Err(out_of_range("arm.compartments", config.arm.compartments, &range));
@@ -188,8 +218,19 @@ impl WorldSettings {
                 Some(whole("max_episode_steps", value, 1, u32::MAX.into(), range)? as u64)
             }
         };
-        Ok(Self { config, seed, num_envs, max_episode_steps, threads })
+        Ok(Self { config, seed, num_envs, max_episode_steps, autoreset, threads })
     }
+}
+
+/// What happens when an episode of a batch has ended.
+fn autoreset(value: &Value, num_envs: Option<usize>) -> Answer<Autoreset> {
+    if num_envs.is_none() {
+        return Err(Refusal::invalid("autoreset_mode is a batch's: give num_envs too"));
+    }
+    serde_json::from_value(value.clone()).map_err(|_| {
+        let range = "of \"next_step\", \"same_step\", \"disabled\"";
+        out_of_range("autoreset_mode", value, range)
+    })
 }
 
 /// A name for a target must be one of those that there are.
@@ -208,32 +249,84 @@ fn check_target(value: &Value) -> Answer<()> {
     )))
 }
 
+/// A flag for each of so many episodes.
+fn flags(name: &str, value: &Value, count: usize) -> Answer<Vec<bool>> {
+    let flags: Option<Vec<bool>> =
+        value.as_array().and_then(|flags| flags.iter().map(Value::as_bool).collect());
+    flags.filter(|flags| flags.len() == count).ok_or_else(|| {
+        Refusal::invalid(format!("{name}: expected {count} (num_envs) booleans, shape ({count})"))
+    })
+}
+
+/// A seed, or one for each of so many episodes, of which a mask may take some.
+fn reset_seed(value: &Value, mask: Option<&Value>, count: Option<usize>) -> Answer<Seed> {
+    let (Value::Array(seeds), Some(count)) = (value, count) else {
+        return match mask {
+            None => Ok(Seed::First(seed(value)?)),
+            Some(_) => Err(Refusal::invalid("seed_mask goes with a seed for each of num_envs")),
+        };
+    };
+    if seeds.len() != count {
+        let message = format!("seed has {} entries, expected {count} (num_envs)", seeds.len());
+        return Err(Refusal::invalid(message));
+    }
+    let mask = mask.map_or(Ok(vec![true; count]), |mask| flags("seed_mask", mask, count))?;
+    let each = seeds.iter().zip(mask);
+    Ok(Seed::Each(
+        each.map(|(one, taken)| taken.then(|| seed(one)).transpose()).collect::<Answer<_>>()?,
+    ))
+}
+
 impl NextReset {
-    /// Reads and checks the settings of a reset.
-    pub(crate) fn from_tensors(tensors: &BTreeMap<String, Tensor>) -> Answer<Self> {
-        if let Some(name) = tensors.keys().find(|name| !["seed", "phase"].contains(&name.as_str()))
-        {
+    /// Reads and checks the settings of a reset, by the agent of a batch of so many episodes if it is
+    /// one.
+    pub(crate) fn from_tensors(
+        tensors: &BTreeMap<String, Tensor>,
+        num_envs: Option<usize>,
+    ) -> Answer<Self> {
+        let known: &[&str] = match num_envs {
+            None => &["phase", "seed"],
+            Some(_) => &["phase", "reset_mask", "seed", "seed_mask"],
+        };
+        if let Some(name) = tensors.keys().find(|name| !known.contains(&name.as_str())) {
+            let known = known.join(", ");
             return Err(Refusal::invalid(format!(
-                "unknown setting {}; known are phase, seed",
+                "unknown setting {}; known are {known}",
                 quoted(name)
             )));
         }
+        let most = num_envs.unwrap_or(1);
         let value =
-            |name: &str| tensors.get(name).map(|tensor| to_json(name, tensor, 1)).transpose();
+            |name: &str| tensors.get(name).map(|tensor| to_json(name, tensor, most)).transpose();
         let phase = |value: Value| match value.as_f64() {
             Some(phase) if (0.0..=1.0).contains(&phase) => Ok(phase),
             _ => Err(out_of_range("phase", value, "[0, 1] turns")),
         };
-        Ok(Self {
-            seed: value("seed")?.as_ref().map(seed).transpose()?,
-            phase: value("phase")?.map(phase).transpose()?,
-        })
+        let seed_mask = value("seed_mask")?;
+        let seed = match (value("seed")?, seed_mask.as_ref()) {
+            (None, None) => None,
+            (None, Some(_)) => return Err(Refusal::invalid("seed_mask needs a seed")),
+            (Some(seed), mask) => Some(reset_seed(&seed, mask, num_envs)?),
+        };
+        let mask = match (value("reset_mask")?, num_envs) {
+            (Some(mask), Some(count)) => Some(flags("reset_mask", &mask, count)?),
+            _ => None,
+        };
+        Ok(Self { seed, phase: value("phase")?.map(phase).transpose()?, mask })
     }
 
-    /// What is asked for later goes before what was asked for earlier.
-    pub(crate) fn overlay(&mut self, later: Self) {
-        self.seed = later.seed.or(self.seed);
+    /// What is asked for later goes before what was asked for earlier, and what was to begin anew
+    /// still does; `asked` tells whether anything was asked for.
+    pub(crate) fn overlay(&mut self, later: Self, asked: bool) {
+        self.seed = later.seed.or(self.seed.take());
         self.phase = later.phase.or(self.phase);
+        self.mask = match (self.mask.take(), later.mask) {
+            (_, None) => None,
+            (None, Some(later)) => (!asked).then_some(later),
+            (Some(earlier), Some(later)) => {
+                Some(earlier.into_iter().zip(later).map(|(one, other)| one || other).collect())
+            }
+        };
     }
 }
 
@@ -254,6 +347,7 @@ mod tests {
         let world = settings(&[]).expect("world");
         assert_eq!(*world.config, EpisodeConfig::default());
         assert_eq!((world.num_envs, world.max_episode_steps, world.seed), (None, Some(500), None));
+        assert_eq!(world.autoreset, Autoreset::NextStep);
     }
 
     #[test]
@@ -267,6 +361,7 @@ mod tests {
             ("seed", unsigned(u64::MAX)),
             ("num_envs", doubles(vec![3.0], &[])),
             ("max_episode_steps", integer(-1)),
+            ("autoreset_mode", text("same_step")),
         ])
         .expect("world");
         assert_eq!(world.config.target, Target::Named(TargetName::Lissajous));
@@ -274,7 +369,7 @@ mod tests {
         assert_eq!(world.config.arm.compartments, 4);
         assert_eq!(world.config.arm.area_scale.to_bits(), 0.5_f64.to_bits());
         assert_eq!((world.seed, world.num_envs), (Some(u64::MAX), Some(3)));
-        assert_eq!(world.max_episode_steps, None);
+        assert_eq!((world.max_episode_steps, world.autoreset), (None, Autoreset::SameStep));
 
         let named =
             settings(&[("arm", text("inertial")), ("arm.area_scale", doubles(vec![0.5], &[]))])
@@ -315,7 +410,8 @@ mod tests {
             ("num_envs", unsigned(u64::MAX), "num_envs = 18446744073709551615 is outside"),
             ("num_envs", text("many"), "num_envs = \"many\" is outside the allowed range"),
             ("num_envs", doubles(vec![2.0; 2], &[2]), "num_envs = [2,2] is outside"),
-            ("threads", integer(0), "threads = 0 is outside the allowed range [1, "),
+            ("threads", integer(-1), "threads = -1 is outside the allowed range [1, "),
+            ("autoreset_mode", text("disabled"), "autoreset_mode is a batch's: give num_envs too"),
             ("threads", scalar(2.0_f64.powi(70)), "threads = 1.1805916207174113e+21 is outside"),
             ("threads", scalar(1.5), "threads = 1.5 is outside the allowed range [1, "),
             ("max_episode_steps", integer(0), "max_episode_steps = 0 is outside"),
@@ -341,6 +437,9 @@ mod tests {
             assert_eq!(refusal.code, tonic::Code::ResourceExhausted);
             assert!(refusal.message.contains(expected), "{}", refusal.message);
         }
+        let pairs = [("num_envs", integer(2)), ("autoreset_mode", text("never"))];
+        let message = settings(&pairs).expect_err("no mode").message;
+        assert!(message.contains("autoreset_mode = \"never\" is outside the allowed"), "{message}");
         let large = settings(&[("arm.compartments", integer(200))]).expect_err("large").message;
         assert!(large.contains("arm.compartments = 200"), "{large}");
     }
@@ -348,11 +447,11 @@ mod tests {
     #[test]
     fn resets_take_a_seed_and_a_phase() {
         let read = |name: &str, tensor: Tensor| {
-            NextReset::from_tensors(&BTreeMap::from([(name.to_owned(), tensor)]))
+            NextReset::from_tensors(&BTreeMap::from([(name.to_owned(), tensor)]), None)
         };
         let next = read("phase", doubles(vec![0.25], &[])).expect("phase");
-        assert_eq!(next, NextReset { seed: None, phase: Some(0.25) });
-        assert_eq!(read("seed", integer(3)).map(|next| next.seed), Ok(Some(3)));
+        assert_eq!(next, NextReset { phase: Some(0.25), ..NextReset::default() });
+        assert_eq!(read("seed", integer(3)).map(|next| next.seed), Ok(Some(Seed::First(3))));
         assert!(
             read("phase", doubles(vec![1.5], &[]))
                 .expect_err("bad")
@@ -366,8 +465,51 @@ mod tests {
         ] {
             assert!(read(name, tensor).expect_err(name).message.contains(expected));
         }
-        let mut first = NextReset { seed: Some(1), phase: Some(0.5) };
-        first.overlay(NextReset { seed: Some(2), phase: None });
-        assert_eq!(first, NextReset { seed: Some(2), phase: Some(0.5) });
+        let seed = |seed: u64| Some(Seed::First(seed));
+        let mut first = NextReset { seed: seed(1), phase: Some(0.5), mask: None };
+        first.overlay(NextReset { seed: seed(2), ..NextReset::default() }, true);
+        assert_eq!(first, NextReset { seed: seed(2), phase: Some(0.5), mask: None });
+    }
+
+    #[test]
+    fn resets_of_a_batch_take_masks() {
+        let read = |pairs: &[(&str, Tensor)]| {
+            let pairs = pairs.iter().map(|(name, tensor)| ((*name).to_owned(), tensor.clone()));
+            NextReset::from_tensors(&pairs.collect(), Some(3))
+        };
+        let mask = |flags: [bool; 3]| bools(flags.to_vec(), &[3]);
+        let seeds = Tensor { payload: doubles(vec![5.0, 6.0, 7.0], &[3]).payload, shape: vec![3] };
+        let next = read(&[
+            ("seed", seeds.clone()),
+            ("seed_mask", mask([true, false, true])),
+            ("reset_mask", mask([false, true, true])),
+        ]);
+        let expected = NextReset {
+            seed: Some(Seed::Each(vec![Some(5), None, Some(7)])),
+            phase: None,
+            mask: Some(vec![false, true, true]),
+        };
+        assert_eq!(next, Ok(expected));
+        for (pairs, message) in [
+            (&[("seed", doubles(vec![1.0; 2], &[2]))][..], "seed has 2 entries, expected 3"),
+            (&[("seed_mask", mask([true; 3]))], "seed_mask needs a seed"),
+            (&[("seed", integer(1)), ("seed_mask", mask([true; 3]))], "seed_mask goes with"),
+            (&[("reset_mask", bools(vec![true; 2], &[2]))], "reset_mask: expected 3 (num_envs)"),
+            (&[("reset_mask", doubles(vec![1.0; 3], &[3]))], "reset_mask: expected 3 (num_envs)"),
+            (&[("mask", mask([true; 3]))], "known are phase, reset_mask, seed, seed_mask"),
+        ] {
+            let found = read(pairs).expect_err(message).message;
+            assert!(found.contains(message), "{found}");
+        }
+
+        let masked =
+            |flags: [bool; 3]| NextReset { mask: Some(flags.to_vec()), ..NextReset::default() };
+        let mut next = NextReset::default();
+        next.overlay(masked([true, false, false]), false);
+        next.overlay(masked([false, true, false]), true);
+        assert_eq!(next.mask, Some(vec![true, true, false]));
+        next.overlay(NextReset::default(), true);
+        next.overlay(masked([false, true, false]), true);
+        assert_eq!(next.mask, None);
     }
 }
