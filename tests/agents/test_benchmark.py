@@ -91,6 +91,7 @@ def test_json_alone_on_standard_output(octoarm):
         (("--rounds", "0"), "between 1 and 1,001"),
         (("--out", "."), "folder"),
         (("--server", "--pictures"), "not together with --pictures"),
+        (("--cluster", "auto", "--pictures"), "not together with --pictures"),
     ],
 )
 def test_a_bad_option_is_named(octoarm, options, message):

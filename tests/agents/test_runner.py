@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from octoarm_agents.common.trials import code_digest, run_trials, share_out
+from octoarm_agents.common.provenance import code_digest
+from octoarm_agents.common.trials import run_trials, share_out
 from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.runner import (
     Experiment,
@@ -346,3 +348,18 @@ def test_every_experiment_is_what_the_registry_calls_it():
         experiment = load_experiment(name)
         assert experiment.name == name
         assert experiment.trials >= 1
+
+
+def test_a_cluster_needs_an_extra(octoarm, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    result = octoarm("reproduce", "table2", "--cluster", "auto", "--out", tmp_path)
+    assert result.exit_code == 1
+    assert 'pip install "octoarm-agents[ray]"' in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_the_script_for_slurm_can_be_read():
+    script = Path(__file__).parents[2] / "docs/cluster/octoarm.sbatch"
+    assert "octoarm compare --cluster auto" in script.read_text(encoding="utf-8")
+    subprocess.run(["bash", "-n", script], check=True)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from octoarm_agents.analysis.survey import SurveySettings, survey_arm
 from octoarm_agents.common.progress import progress_bar
-from octoarm_agents.common.whole import whole_number
+from octoarm_agents.common.workers import Jobs, map_unordered, number_of
 from octoarm_env import ArmParameters, DomainError
 
 Quantity = Literal["stiffness", "damping", "drag", "range"]
@@ -56,7 +56,7 @@ def run_sweep(
     values: Sequence[float],
     parameters: ArmParameters,
     settings: SurveySettings,
-    jobs: int = 1,
+    jobs: Jobs = 1,
 ) -> list[SweepPoint]:
     """Survey the arm at each value, always with the same input.
 
@@ -65,29 +65,25 @@ def run_sweep(
         values: positive; factors, for the range degrees.
         parameters: the body to start from.
         settings: what to do with each.
-        jobs: processes; the result does not depend on it.
+        jobs: processes, or a cluster; the result does not depend on it.
 
     Raises:
         ValueError: an unknown quantity, a value out of its range, or a setting out of its range.
     """
-    from joblib import Parallel, delayed
-
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity = {quantity!r}: expected one of {sorted(QUANTITIES)}")
-    jobs = whole_number("jobs", jobs, 1)
+    number_of(jobs)
     if not values:
         raise ValueError("values: expected at least one")
     # Made here, so that a value that no body can have is an error before any work is done.
     bodies = [_change(quantity, value, parameters, settings) for value in values]
-    tasks = (
-        delayed(_survey_point)(value, *body) for value, body in zip(values, bodies, strict=True)
-    )
-    points = []
+    calls = [(value, *body) for value, body in zip(values, bodies, strict=True)]
+    points: dict[int, SweepPoint] = {}
     with progress_bar(len(values), quantity) as bar:
-        for point in Parallel(n_jobs=min(jobs, len(values)), return_as="generator")(tasks):
-            points.append(point)
+        for index, point in map_unordered(_survey_point, calls, jobs):
+            points[index] = point
             bar.update()
-    return points
+    return [points[index] for index in range(len(values))]
 
 
 def _change(

@@ -23,6 +23,7 @@ from octoarm_agents.calibration.search import INITIAL, POPULATION, search_bodies
 from octoarm_agents.calibration.space import OPEN_NUMBERS, SearchSpace
 from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.workers import Jobs
 from octoarm_agents.experiments.emulation.protocol import RANGE, TASKS, check_timestep
 from octoarm_env import Arm, ArmParameters, DomainError
 
@@ -36,7 +37,7 @@ def calibrate_body(
     noise_seeds: int = 0,
     trials: int = 5,
     seed: int = 0,
-    jobs: int = 1,
+    jobs: Jobs = 1,
 ) -> dict[str, Any] | None:
     """Search for the body, and write what was found.
 
@@ -52,7 +53,7 @@ def calibrate_body(
         noise_seeds: trainings of each limit cycle that every body is judged by; 0: none.
         trials: T_ini with which the best body is measured again.
         seed: of the search.
-        jobs: processes.
+        jobs: processes, or a cluster.
 
     Returns:
         What ``calibration.json`` holds; None if no body stayed in its domain.

@@ -7,6 +7,7 @@ file for an answer.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
 import json
@@ -27,9 +28,10 @@ from octoarm_agents.calibration.evaluation import (
 from octoarm_agents.calibration.score import evaluate_bodies
 from octoarm_agents.calibration.space import OPEN_PARAMETERS, SearchSpace
 from octoarm_agents.common.progress import progress_bar
-from octoarm_agents.common.provenance import package_versions
-from octoarm_agents.common.trials import code_digest, share_out
+from octoarm_agents.common.provenance import code_digest, package_versions
+from octoarm_agents.common.trials import share_out
 from octoarm_agents.common.whole import whole_number
+from octoarm_agents.common.workers import Jobs, map_unordered, number_of
 from octoarm_env.arrays import Float
 
 POPULATION = 12
@@ -47,7 +49,7 @@ def search_bodies(
     amplitudes: Mapping[str, float] | None = None,
     noise_seeds: int = 0,
     seed: int = 0,
-    jobs: int = 1,
+    jobs: Jobs = 1,
 ) -> list[Evaluation]:
     """Search every space for the body with the lowest score, all at the same pace.
 
@@ -62,7 +64,7 @@ def search_bodies(
         amplitudes: R by cycle, see `evaluate_bodies`.
         noise_seeds: trainings of each limit cycle, see `evaluate_bodies`.
         seed: of the search.
-        jobs: processes.
+        jobs: processes, or a cluster.
 
     Returns:
         The evaluations of these searches, in the order in which they are tried.
@@ -71,9 +73,7 @@ def search_bodies(
         ValueError: a setting out of its range, or a file of something else.
         OSError: the file cannot be read or written.
     """
-    from joblib import Parallel, delayed
-
-    evaluations, jobs = whole_number("evaluations", evaluations, 1), whole_number("jobs", jobs, 1)
+    evaluations, at_once = whole_number("evaluations", evaluations, 1), number_of(jobs)
     noise_seeds, seed = whole_number("noise_seeds", noise_seeds), whole_number("seed", seed)
     if not spaces:
         raise ValueError("spaces is empty: expected at least one")
@@ -87,10 +87,8 @@ def search_bodies(
     stored = read_evaluations(file)
     searches = [_Search(space, judge, seed, stored) for space in spaces]
     results: list[Evaluation] = []
-    with (
-        progress_bar(evaluations * len(spaces), "bodies") as bar,
-        Parallel(n_jobs=min(jobs, POPULATION * len(spaces))) as parallel,
-    ):
+    evaluate = functools.partial(evaluate_bodies, **judge)
+    with progress_bar(evaluations * len(spaces), "bodies") as bar:
         for begin in range(0, evaluations, POPULATION):
             asked = [
                 evaluation
@@ -99,11 +97,10 @@ def search_bodies(
             ]
             new = [each for each in asked if math.isnan(each.score)]
             bodies = [spaces[0].base.replace(**each.body) for each in new]
-            judged = parallel(
-                delayed(evaluate_bodies)(bodies[share], **judge)
-                for share in share_out(len(new), jobs)
-            )
-            for evaluation, found in zip(new, itertools.chain(*judged), strict=True):
+            calls = [(bodies[share],) for share in share_out(len(new), at_once)]
+            judged = dict(map_unordered(evaluate, calls, jobs))
+            in_order = itertools.chain.from_iterable(judged[index] for index in range(len(calls)))
+            for evaluation, found in zip(new, in_order, strict=True):
                 vars(evaluation).update(vars(found))
             append_evaluations(file, new)
             for search in searches:

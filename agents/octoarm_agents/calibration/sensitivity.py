@@ -17,6 +17,7 @@ from octoarm_agents.calibration.space import OPEN_NUMBERS, tilt_gravity
 from octoarm_agents.common.files import write_atomically, write_json, write_text
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.trials import run_trials
+from octoarm_agents.common.workers import Jobs
 from octoarm_agents.experiments.emulation.protocol import RANGE, check_timestep
 from octoarm_env import LIMIT_CYCLES, Arm, ArmParameters
 
@@ -132,7 +133,7 @@ def measure_sensitivity(
     trials: int = 3,
     amplitudes: Sequence[float] = AMPLITUDES,
     noise_seeds: int = 2,
-    jobs: int = 1,
+    jobs: Jobs = 1,
 ) -> dict[str, Any]:
     """Move every open parameter alone; write ``sensitivity.json``, ``.png`` and ``.md``.
 
@@ -144,7 +145,7 @@ def measure_sensitivity(
         trials: T_ini over which the errors of Task 1 are averaged.
         amplitudes: R of the teachers [degrees].
         noise_seeds: trainings of each limit cycle; 0: none.
-        jobs: processes; the results do not depend on it.
+        jobs: processes, or a cluster; the results do not depend on it.
 
     Returns:
         What ``sensitivity.json`` holds.

@@ -11,13 +11,14 @@ import typer
 from octoarm_agents.cli.options import (
     Actuator,
     Body,
+    ClusterAddress,
     Jobs,
     Seed,
     number,
-    processes,
     read_body,
     refused,
     result_folder,
+    workers_of,
 )
 from octoarm_agents.common.progress import stage_bar
 
@@ -181,6 +182,7 @@ def arm(
         ),
     ] = None,
     jobs: Jobs = None,
+    cluster: ClusterAddress = None,
     seed: Seed = 0,
 ) -> None:
     """Drive the arm with an independent random input and measure what its body computes.
@@ -205,6 +207,8 @@ def arm(
 
     if sweep is None and values is not None:
         raise typer.BadParameter("only --sweep takes values.", param_hint="'--values'")
+    if sweep is None and cluster is not None:
+        raise typer.BadParameter("only --sweep can use one.", param_hint="'--cluster'")
     parameters = read_body(body)
     measures = _measure_settings(context)
     settings = SurveySettings(Drive(amplitude, hold, axes, actuator), measures, samples)
@@ -218,7 +222,7 @@ def arm(
         chosen = default_values(sweep, settings)
         if values is not None:
             chosen = _numbers(values, float, "--values")
-        points = run_sweep(sweep, chosen, parameters, settings, processes(jobs))
+        points = run_sweep(sweep, chosen, parameters, settings, workers_of(jobs, cluster))
     warnings = [
         f"{sweep} {point.value:g}: {warning}"
         for point in points
@@ -287,6 +291,7 @@ def sensitivity(
         typer.Option(help="R of the teachers in degrees.", show_default="5 to 130 in ten steps"),
     ] = None,
     jobs: Jobs = None,
+    cluster: ClusterAddress = None,
     body: Body = None,
 ) -> None:
     """Move each parameter that the paper leaves open alone, and measure the body again.
@@ -309,7 +314,7 @@ def sensitivity(
             trials=trials,
             amplitudes=ladder,
             noise_seeds=noise_seeds,
-            jobs=processes(jobs),
+            jobs=workers_of(jobs, cluster),
         )
     typer.echo(sensitivity_markdown(result))
     typer.echo(f"Wrote sensitivity.json, sensitivity.png and sensitivity.md into {out}.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from octoarm_agents.cli.options import need_extra, number, result_file
+from octoarm_agents.cli.options import ClusterAddress, need_extra, number, result_file, workers_of
 from octoarm_agents.cli.printing import new_table
 from octoarm_agents.common.progress import progress_bar
 
@@ -38,6 +38,7 @@ def benchmark(
     server: Annotated[
         bool, typer.Option("--server", help="Load a server instead of timing the physics.")
     ] = False,
+    cluster: ClusterAddress = None,
 ) -> None:
     """Time one arm, batches of 1 to 1024, the environments and their peers, in one run.
 
@@ -48,7 +49,8 @@ def benchmark(
     With --pictures: pictures in several sizes beside MuJoCo's renderer, and what a step pays for
     pictures that nobody draws. With --server: steps a second and round trips of octoarm-server over
     loopback, with 1, 16 and 128 connections, and of clients in Python; the load comes from the same
-    machine. What the figures mean: docs/performance.md.
+    machine. With --cluster: what a call costs on a Ray cluster and in processes here, and how
+    trials scale to two at once. What the figures mean: docs/performance.md, docs/cluster.md.
     """
     from rich.console import Console
 
@@ -57,7 +59,14 @@ def benchmark(
 
     if pictures and server:
         raise typer.BadParameter("not together with --pictures.", param_hint="'--server'")
-    if server:
+    if cluster is not None and (pictures or server):
+        raise typer.BadParameter(
+            "not together with --pictures or --server.", param_hint="'--cluster'"
+        )
+    if cluster is not None:
+        workers_of(None, cluster)
+        from octoarm_agents.benchmark.cluster import measure_cluster as measure
+    elif server:
         with need_extra("benchmark"):
             from octoarm_agents.benchmark.server import measure_server as measure
     elif pictures:

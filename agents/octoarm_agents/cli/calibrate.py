@@ -10,14 +10,15 @@ import typer
 from octoarm_agents.cli.options import (
     Actuator,
     Body,
+    ClusterAddress,
     Jobs,
     Seed,
     TargetArgument,
     number,
-    processes,
     read_body,
     refused,
     result_folder,
+    workers_of,
 )
 from octoarm_agents.cli.printing import new_table
 from octoarm_agents.common.progress import stage_bar
@@ -57,6 +58,7 @@ def body(
     trials: Annotated[int, number("T_ini of the best body's last measurement.", 1, 1001)] = 5,
     seed: Seed = 0,
     jobs: Jobs = None,
+    cluster: ClusterAddress = None,
     arm: Body = None,
 ) -> None:
     """Search for the body that does what the paper reports.
@@ -93,7 +95,7 @@ def body(
             noise_seeds=noise_seeds,
             trials=trials,
             seed=seed,
-            jobs=processes(jobs),
+            jobs=workers_of(jobs, cluster),
         )
     if result is None:
         typer.echo("No body stayed in its domain: try more --evaluations.", err=True)

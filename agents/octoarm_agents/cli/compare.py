@@ -11,12 +11,13 @@ from octoarm_agents.cli.options import (
     Actuator,
     Amplitude,
     Body,
+    ClusterAddress,
     Jobs,
     need_extra,
     number,
-    processes,
     refused,
     result_folder,
+    workers_of,
 )
 
 Out = Annotated[
@@ -43,6 +44,7 @@ def compare(
     arm: Body = None,
     actuator: Actuator = "direct",
     jobs: Jobs = None,
+    cluster: ClusterAddress = None,
 ) -> None:
     """Compare readouts, a searched linear policy, networks, and doing nothing.
 
@@ -77,7 +79,7 @@ def compare(
             seeds=seeds,
             budget=budget,
             plan=TestPlan(seed=seed, episodes=episodes),
-            jobs=processes(jobs),
+            jobs=workers_of(jobs, cluster),
             env=env,
         )
         result = run(comparison, out)

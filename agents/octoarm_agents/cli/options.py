@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 if TYPE_CHECKING:
+    from octoarm_agents.common import workers
     from octoarm_env import ArmParameters
 
 
@@ -65,9 +66,14 @@ def output_file(path: Path | None) -> Path | None:
     return path
 
 
-def processes(jobs: int | None) -> int:
-    """How many processes `--jobs` asks for."""
-    return jobs or os.cpu_count() or 1
+def workers_of(jobs: int | None, cluster: str | None) -> workers.Jobs:
+    """Where to compute: what `--jobs` and `--cluster` ask for."""
+    if cluster is None:
+        return jobs or os.cpu_count() or 1
+    from octoarm_agents.common.workers import Cluster
+
+    with need_extra("ray"), refused("--cluster"):
+        return Cluster.connect(cluster, jobs)
 
 
 def read_body(path: Path | None) -> ArmParameters:
@@ -115,6 +121,13 @@ Jobs = Annotated[
     number(
         "Processes; the results do not depend on it.", 1, 1024, show_default="number of processors"
     ),
+]
+_CLUSTER = (
+    "Compute on a Ray cluster in place of processes here: its address, or auto for that in"
+    " RAY_ADDRESS or of the cluster that this machine belongs to. See docs/cluster.md."
+)
+ClusterAddress = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help=_CLUSTER, show_default="none")
 ]
 Algorithm = Annotated[
     Literal["ppo", "sac", "tqc", "recurrent_ppo"],

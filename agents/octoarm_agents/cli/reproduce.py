@@ -9,13 +9,14 @@ import typer
 
 from octoarm_agents.cli.options import (
     Body,
+    ClusterAddress,
     Jobs,
     Seed,
     number,
-    processes,
     read_body,
     refused,
     result_folder,
+    workers_of,
 )
 from octoarm_agents.cli.printing import new_table
 from octoarm_agents.experiments import EXPERIMENTS
@@ -44,6 +45,7 @@ def reproduce(
     trials: Annotated[int | None, number("Number of trials.", 1, 100_000, show_default=OWN)] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
+    cluster: ClusterAddress = None,
     amplitude: Annotated[
         float | None,
         number(_AMPLITUDE, 0.1, 360.0, "degrees", "--amplitude", "-R", show_default=OWN),
@@ -68,7 +70,9 @@ def reproduce(
     parameters = read_body(arm)
     with refused("--arm"):
         Arm(parameters)  # It has a static equilibrium.
-    settings = RunSettings(out, trials, seed, processes(jobs), amplitude, steps, parameters, fresh)
+    settings = RunSettings(
+        out, trials, seed, workers_of(jobs, cluster), amplitude, steps, parameters, fresh
+    )
     console = Console()
     for each in EXPERIMENTS if name == ALL else (name,):
         experiment = load_experiment(each)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,25 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON. Numbers that are not finite are an error: JSON has none."""
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def read_folder(folder: Path) -> dict[str, bytes]:
+    """All files in a folder, by their path in it; none if there is no folder.
+
+    What `atomic_file` has hidden there, and a killed process has left, is none of them.
+    """
+    names = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    whole = (name for name in names if not any(part.startswith(".") for part in name.parts))
+    return {name.as_posix(): (folder / name).read_bytes() for name in whole}
+
+
+def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write what `read_folder` gave, each file whole or not at all."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as file:
+            file.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:

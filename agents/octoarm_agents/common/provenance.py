@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import hashlib
+import importlib.util
 import os
 import platform
 from importlib import metadata
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import octoarm_env
+from octoarm_env import _core
 
 
 def describe_machine() -> dict[str, Any]:
@@ -26,6 +29,23 @@ def describe_machine() -> dict[str, Any]:
 def package_versions(*names: str) -> dict[str, str | None]:
     """Installed versions by distribution name; None for what is not installed."""
     return {name: _version(name) for name in names}
+
+
+@functools.cache
+def code_digest(module: str) -> str:
+    """Digest of this package, of the module that a trial is in, and of the compiled physics.
+
+    The version alone would let trials of an older state of a checkout pass for present ones.
+
+    Args:
+        module: full name of an importable module.
+    """
+    specification = importlib.util.find_spec(module)
+    own = set() if specification is None else {Path(str(specification.origin))}
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    for file in sorted(own | set(Path(__file__).parents[1].rglob("*.py"))):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 @functools.cache

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
-import importlib.util
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,9 +12,9 @@ from typing import Any
 from octoarm_agents.common.files import write_json
 from octoarm_agents.common.lanes import LANES
 from octoarm_agents.common.progress import progress_bar
-from octoarm_agents.common.provenance import package_versions
-from octoarm_agents.common.whole import whole_number
-from octoarm_env import ArmParameters, _core
+from octoarm_agents.common.provenance import code_digest, package_versions
+from octoarm_agents.common.workers import Cluster, Jobs, map_unordered, number_of
+from octoarm_env import ArmParameters
 
 Trial = Callable[..., dict[str, Any]]
 Settings = Mapping[str, Any]
@@ -30,18 +28,19 @@ def run_trials(
     *,
     folder: Path,
     record: Record | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     fresh: bool = False,
     progress: bool | None = None,
     description: str = "trials",
 ) -> list[dict[str, Any]]:
-    """Call ``function(parameters, **settings)`` for all settings, in processes of their own.
+    """Call ``function(parameters, **settings)`` for all settings, in processes or on a cluster.
 
     Every result is written to `folder` as soon as its trial is finished. A later call with the same
     function, body, settings and code takes it from there, so that an interrupted run loses at
     most the trials under way: one in each process, or with `record` some that it has begun together
-    and not yet finished. Results do not depend on `jobs`: a trial knows its own settings only, and
-    computes with one thread.
+    and not yet finished. On a cluster a trial is finished when its result has arrived here; those
+    that are recorded together arrive together. Results do not depend on `jobs`: a trial knows its
+    own settings only, and computes with one thread.
 
     Args:
         function: at the top level of a module; what it returns must fit into JSON, and it must
@@ -53,7 +52,7 @@ def run_trials(
             a list with the argument ``recording`` of each. It must be in the module of `function`
             and give what the trial computes by itself without that argument, to the bit, whatever
             trials it is called with.
-        jobs: processes.
+        jobs: processes, or a cluster.
         fresh: compute every trial anew, whatever `folder` holds.
         progress: as `shown` of `octoarm_agents.common.progress.progress_bar`.
         description: of the bar.
@@ -64,26 +63,29 @@ def run_trials(
     Raises:
         ValueError: fewer than one job, or a result with numbers that are not finite.
     """
-    from joblib import Parallel, delayed
-
-    jobs = whole_number("jobs", jobs, 1)
+    at_once = number_of(jobs)
     folder.mkdir(parents=True, exist_ok=True)
     fingerprints = [_fingerprint(function, parameters, each) for each in settings]
     texts = [json.dumps(each, sort_keys=True).encode() for each in fingerprints]
     files = [folder / f"{hashlib.sha256(text).hexdigest()[:24]}.json" for text in texts]
     stored = [] if fresh else map(_read, files, fingerprints)
     results = {index: result for index, result in enumerate(stored) if result is not None}
-    missing = [
+    missing: list[tuple[int, tuple[Settings, Path | None, dict[str, Any]]]] = [
         each
         for each in enumerate(zip(settings, files, fingerprints, strict=True))
         if each[0] not in results
     ]
     # Without `record` every trial is a share of its own.
-    shares = share_out(len(missing), len(missing) if record is None else jobs)
-    calls = (delayed(_run_share)(function, parameters, record, missing[each]) for each in shares)
+    shares = share_out(len(missing), len(missing) if record is None else at_once)
+    on_cluster = isinstance(jobs, Cluster)
+    if on_cluster:  # Its nodes have no such folder.
+        missing = [(index, (given, None, marks)) for index, (given, _, marks) in missing]
+    calls = [(function, parameters, record, missing[each]) for each in shares]
     with progress_bar(len(settings), description, initial=len(results), shown=progress) as bar:
-        run = Parallel(n_jobs=min(jobs, max(len(shares), 1)), return_as="generator_unordered")
-        for finished in run(calls):
+        for _, finished in map_unordered(_run_share, calls, jobs):
+            if on_cluster:
+                for index, result in finished.items():
+                    _write(files[index], fingerprints[index], result)
             results |= finished
             bar.update(len(finished))
     return [results[index] for index in range(len(settings))]
@@ -110,9 +112,9 @@ def _run_share(
     function: Trial,
     parameters: ArmParameters,
     record: Record | None,
-    share: Sequence[tuple[int, tuple[Settings, Path, dict[str, Any]]]],
+    share: Sequence[tuple[int, tuple[Settings, Path | None, dict[str, Any]]]],
 ) -> dict[int, dict[str, Any]]:
-    """Some trials, in the process that computes them: what is finished is stored at once."""
+    """Some trials, where they are computed: what is finished is stored at once, with a file."""
     from threadpoolctl import threadpool_limits
 
     results = {}
@@ -124,7 +126,8 @@ def _run_share(
             known = [{"recording": recording} for recording in recordings]
         for (index, (settings, file, fingerprint)), more in zip(share, known, strict=True):
             result = function(parameters, **settings, **more)
-            write_json(file, {"fingerprint": fingerprint, "result": result})
+            if file is not None:
+                _write(file, fingerprint, result)
             # As a later run would read it.
             results[index] = json.loads(json.dumps(result))
     return results
@@ -146,6 +149,10 @@ def _fingerprint(function: Trial, parameters: ArmParameters, settings: Settings)
     return compared
 
 
+def _write(file: Path, fingerprint: dict[str, Any], result: dict[str, Any]) -> None:
+    write_json(file, {"fingerprint": fingerprint, "result": result})
+
+
 def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:
     """A stored result; None if there is none, or the file is damaged or of another trial."""
     try:
@@ -156,20 +163,3 @@ def _read(file: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:
         return None
     result: dict[str, Any] = content["result"]
     return result
-
-
-@functools.cache
-def code_digest(module: str) -> str:
-    """Digest of this package, of the module that a trial is in, and of the compiled physics.
-
-    The version alone would let trials of an older state of a checkout pass for present ones.
-
-    Args:
-        module: full name of an importable module.
-    """
-    specification = importlib.util.find_spec(module)
-    own = set() if specification is None else {Path(str(specification.origin))}
-    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
-    for file in sorted(own | set(Path(__file__).parents[1].rglob("*.py"))):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from octoarm_agents.common.environment import TARGETS, inspect_env
-from octoarm_agents.common.files import write_json, write_text
+from octoarm_agents.common.files import read_folder, write_folder, write_json, write_text
 from octoarm_agents.common.progress import progress_bar
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.whole import whole_fields
+from octoarm_agents.common.workers import Cluster, Jobs, map_unordered, number_of
 from octoarm_agents.comparison.agents import (
     AGENTS,
     SLOW_FIRST,
@@ -34,7 +37,7 @@ from octoarm_agents.comparison.measuring import (
 from octoarm_agents.comparison.rows import REACHED, Outcome, make_rows
 from octoarm_agents.comparison.shipping import ship
 from octoarm_agents.policies.evaluation import TRIVIAL
-from octoarm_env import OctoArmEnv, OctoArmVectorEnv
+from octoarm_env import ArmParameters, OctoArmEnv, OctoArmVectorEnv
 
 _PACKAGES = (
     *("octoarm-env", "octoarm-agents", "numpy", "scipy", "scikit-learn", "gymnasium"),
@@ -52,7 +55,7 @@ class Comparison:
         seeds: trainings of each agent on each target, with seeds 0, 1, …
         budget: factor of all trainings' environment steps.
         plan: how much is measured.
-        jobs: processes; only timings depend on it.
+        jobs: processes, or a cluster; only timings depend on it.
         env: further arguments of the environment, as they read in JSON.
     """
 
@@ -61,7 +64,7 @@ class Comparison:
     seeds: int = 5
     budget: float = 1.0
     plan: TestPlan = field(default_factory=TestPlan)
-    jobs: int = 1
+    jobs: Jobs = 1
     env: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -72,7 +75,8 @@ class Comparison:
             unknown = [each for each in given if each not in known]
             if unknown or not given:
                 raise ValueError(f"{name} = {given}: expected some of {known}")
-        whole_fields(self, seeds=1, jobs=1)
+        whole_fields(self, seeds=1)
+        number_of(self.jobs)
 
     @property
     def command(self) -> str:
@@ -102,7 +106,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
     Every training and what was measured of it is kept in ``out/results``, a file each, as soon as
     it is finished, and what is there is not computed again: the same call goes on where it was
     interrupted, and one with more agents, targets or seeds lets the table grow. The trainings
-    themselves are in ``out/runs``.
+    themselves are in ``out/runs``; from a cluster they arrive there when they are finished.
 
     Args:
         comparison: what to compare.
@@ -141,6 +145,7 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
         "command": comparison.command,
         "settings": asdict(comparison)
         | {
+            "jobs": number_of(comparison.jobs),
             "pushes": PUSHES,
             "shakes": SHAKES,
             "bursts": BURSTS,
@@ -181,44 +186,96 @@ def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
 def _results(
     runs: list[TrainingRun], comparison: Comparison, progress: bool | None
 ) -> dict[TrainingRun, dict[str, Any]]:
-    """Train and measure, the slow ones first."""
-    from joblib import Parallel, delayed
-
+    """Train and measure what no earlier call has kept, the slow ones first."""
+    plan = comparison.plan
     runs = sorted(runs, key=lambda run: SLOW_FIRST.index(run.agent))
-    results: dict[TrainingRun, dict[str, Any]] = {}
-    with progress_bar(len(runs), "agents", shown=progress) as bar:
-        work = Parallel(n_jobs=comparison.jobs, return_as="generator_unordered")
-        for run, result in work(delayed(_result)(run, comparison.plan) for run in runs):
-            results[run] = result
-            bar.set_postfix_str(f"{run.name}: {result['measures']['return']:.1f}")
+    kept = {run: _read(run, plan) for run in runs}
+    results = {run: result for run, result in kept.items() if result is not None}
+    missing = [run for run in runs if run not in results]
+    on_cluster = isinstance(comparison.jobs, Cluster)
+    calls = [_sent(run, plan) if on_cluster else (run, plan) for run in missing]
+    with progress_bar(len(runs), "agents", initial=len(results), shown=progress) as bar:
+        for index, (made, files) in map_unordered(_make, calls, comparison.jobs):
+            run = missing[index]
+            if on_cluster:
+                write_folder(run.policy.parent, files)
+                _keep(run, plan, made)
+            results[run] = made
+            bar.set_postfix_str(f"{run.name}: {made['measures']['return']:.1f}")
             bar.update()
     return results
 
 
-def _result(run: TrainingRun, plan: TestPlan) -> tuple[TrainingRun, dict[str, Any]]:
-    """What `make_agent` and `measure_agent` give, or what an earlier call has kept of it."""
+def _make(
+    run: TrainingRun, plan: TestPlan, begun: Mapping[str, bytes] | None = None
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What `make_agent` and `measure_agent` give, and with what; kept at once.
+
+    On a node of a cluster, whose disk is another, `begun` is what an interrupted training has left
+    in its folder; then nothing is kept, and all files of the training are given too.
+    """
     from threadpoolctl import threadpool_limits
 
-    file = run.folder.parent / "results" / f"{run.name}.json"
-    wanted = {"budget": run.budget, "environment": run.arguments, "plan": asdict(plan)}
-    if file.exists():
-        try:
-            kept: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{file} is damaged: {error}") from None
-        if {name: kept.get(name) for name in wanted} != wanted:
-            raise ValueError(f"{file} is of another comparison: choose another folder")
-        return run, kept
-    # Sums split over threads are rounded otherwise.
-    with threadpool_limits(1):
+    with ExitStack() as stack:
+        # Sums split over threads are rounded otherwise.
+        stack.enter_context(threadpool_limits(1))
+        if begun is not None:
+            run = replace(run, folder=Path(stack.enter_context(TemporaryDirectory())))
+            write_folder(run.policy.parent, begun)
         training = make_agent(run)
         policy = None if training is None else run.policy
-        measures = measure_agent(run.agent, policy, run.arguments, plan)
-    machine = {"machine": describe_machine(), "versions": package_versions(*_PACKAGES)}
-    result = {**wanted, "training": training, "measures": measures, **machine}
+        made = {
+            "training": training,
+            "measures": measure_agent(run.agent, policy, run.arguments, plan),
+            "machine": describe_machine(),
+            "versions": package_versions(*_PACKAGES),
+        }
+        if begun is not None:
+            return made, read_folder(run.policy.parent)
+        _keep(run, plan, made)
+    return made, {}
+
+
+def _sent(run: TrainingRun, plan: TestPlan) -> tuple[TrainingRun, TestPlan, dict[str, bytes]]:
+    """The arguments of `_make` on a node: the files that it cannot read, read."""
+    begun = read_folder(run.policy.parent)
+    if Path(run.env.get("arm", "")).is_file():
+        run = replace(run, env=run.env | {"arm": ArmParameters.of(run.env["arm"])})
+    return run, plan, begun
+
+
+def _file(run: TrainingRun) -> Path:
+    return run.folder.parent / "results" / f"{run.name}.json"
+
+
+def _wanted(run: TrainingRun, plan: TestPlan) -> dict[str, Any]:
+    """What a result depends on, beside the run's name."""
+    return {"budget": run.budget, "environment": run.arguments, "plan": asdict(plan)}
+
+
+def _keep(run: TrainingRun, plan: TestPlan, made: dict[str, Any]) -> None:
+    file = _file(run)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_text(file, json.dumps(result, allow_nan=False) + "\n")  # in a line: they are many
-    return run, result
+    text = json.dumps(_wanted(run, plan) | made, allow_nan=False)
+    write_text(file, text + "\n")  # in a line: they are many
+
+
+def _read(run: TrainingRun, plan: TestPlan) -> dict[str, Any] | None:
+    """What an earlier call has kept; None if nothing.
+
+    Raises:
+        ValueError: the file is damaged, or of another comparison.
+    """
+    file, wanted = _file(run), _wanted(run, plan)
+    if not file.exists():
+        return None
+    try:
+        kept: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged: {error}") from None
+    if {name: kept.get(name) for name in wanted} != wanted:
+        raise ValueError(f"{file} is of another comparison: choose another folder")
+    return kept
 
 
 def _deviation(target: str, env: dict[str, Any]) -> float:

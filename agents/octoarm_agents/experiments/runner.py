@@ -15,6 +15,7 @@ from octoarm_agents.common.files import write_atomically, write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
 from octoarm_agents.common.trials import Record, Settings, Trial, run_trials
 from octoarm_agents.common.whole import whole_fields
+from octoarm_agents.common.workers import Jobs, number_of
 from octoarm_agents.experiments import EXPERIMENTS
 from octoarm_agents.experiments.tables import ResultTable
 from octoarm_env import ArmParameters
@@ -38,7 +39,7 @@ class RunSettings:
         out: folder for NAME.json and NAME.png, and for the finished trials in ``.NAME-trials``.
         trials: how many; None: the experiment's own number.
         seed: of everything random; trial k draws from (seed, k).
-        jobs: processes.
+        jobs: processes, or a cluster.
         amplitude: R [degrees]; None: the experiment's own.
         steps: physics steps of the closed loop; None: the experiment's own number.
         parameters: the body.
@@ -48,14 +49,15 @@ class RunSettings:
     out: Path
     trials: int | None = None
     seed: int = 0
-    jobs: int = 1
+    jobs: Jobs = 1
     amplitude: float | None = None
     steps: int | None = None
     parameters: ArmParameters = field(default_factory=ArmParameters)
     fresh: bool = False
 
     def __post_init__(self) -> None:
-        whole_fields(self, trials=1, seed=0, jobs=1, steps=1)
+        whole_fields(self, trials=1, seed=0, steps=1)
+        number_of(self.jobs)
 
     def run(
         self,

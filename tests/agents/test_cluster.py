@@ -1,0 +1,310 @@
+"""Commands on a Ray cluster of two nodes on this machine: the same files, whatever happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from octoarm_agents.benchmark import cluster as benchmark
+from octoarm_agents.common import workers
+from octoarm_agents.common.trials import run_trials
+from octoarm_agents.common.workers import Cluster, map_unordered
+from octoarm_agents.comparison import Comparison, TestPlan, compare
+
+from octoarm_env import ArmParameters
+
+ray = pytest.importorskip("ray", reason='a cluster needs pip install "octoarm-agents[ray]"')
+cluster_utils = pytest.importorskip("ray.cluster_utils")
+
+pytestmark = [
+    # Of Ray's own, as its processes end.
+    pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
+    pytest.mark.filterwarnings("ignore:subprocess .* is still running:ResourceWarning"),
+]
+
+OF_THE_MACHINE = {"machine", "seconds", "training_seconds", "inference_us"}
+"""What differs from run to run: times, and what they were taken on."""
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Any]:
+    """Two nodes with a processor each; the first one is the head."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        # For the trials below; the packages themselves are installed on every node.
+        patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+        started = cluster_utils.Cluster(
+            initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+        )
+        try:
+            started.add_node(num_cpus=1)
+            yield started
+        finally:
+            ray.shutdown()
+            started.shutdown()
+
+
+@pytest.fixture
+def cluster(nodes: Any) -> Cluster:
+    return Cluster.connect(nodes.address)
+
+
+def contents(folder: Path) -> dict[str, Any]:
+    """All JSON files of a folder, but for what is of the machine."""
+
+    def without(value: Any) -> Any:
+        if isinstance(value, dict):
+            kept = {key: each for key, each in value.items() if key not in OF_THE_MACHINE}
+            return {key: without(each) for key, each in kept.items()}
+        return [without(each) for each in value] if isinstance(value, list) else value
+
+    files = sorted(folder.rglob("*.json*"))
+    assert files
+    return {
+        file.relative_to(folder).as_posix(): [
+            without(json.loads(line))
+            for line in (
+                file.read_text(encoding="utf-8").splitlines()
+                if file.suffix == ".jsonl"
+                else [file.read_text(encoding="utf-8")]
+            )
+        ]
+        for file in files
+    }
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("reproduce", "table2", "--trials", 2),
+        ("calibrate", "body", "--evaluations", 3, "--lift-sign", "+1", "--noise-seeds", 0),
+        (
+            *("analyse", "arm", "--sweep", "range", "--values", "20", "--samples", 400),
+            *("--washout", 50, "--max-delay", 5, "--delays", "5,3"),
+        ),
+    ],
+    ids=lambda command: command[0],
+)
+def test_files_are_equal_to_local_ones(
+    command: tuple[object, ...], nodes: Any, octoarm: Any, tmp_path: Path
+) -> None:
+    where = {"local": ("--jobs", 1), "cluster": ("--cluster", nodes.address, "--jobs", 2)}
+    for name, options in where.items():
+        result = octoarm(*command, *options, "--out", tmp_path / name)
+        assert result.exit_code == 0, result.output
+    assert contents(tmp_path / "cluster") == contents(tmp_path / "local")
+
+
+PLAN = TestPlan(episodes=1, steps=60, long_steps=100, after=80)
+
+
+def test_a_comparison_is_equal_to_a_local_one(cluster: Cluster, tmp_path: Path) -> None:
+    body = tmp_path / "body.json"
+    ArmParameters().replace(arm_density=1042.0).to_json(body)
+    folders = tmp_path / "local", tmp_path / "cluster"
+    for jobs, out in zip((1, Cluster(1)), folders, strict=True):
+        comparison = Comparison(
+            agents=("readout_pinv", "ppo", "clock"),
+            targets=("quadratic",),
+            seeds=1,
+            budget=0.002,
+            plan=PLAN,
+            jobs=jobs,
+            env={"arm": str(body)},
+        )
+        compare(comparison, out, progress=False)
+    local, spread = (contents(out / "results") for out in folders)
+    assert spread == local
+    assert len(local) == 3
+    local, spread = (
+        {name: content for name, content in contents(out).items() if "runs/" not in name}
+        for out in folders
+    )
+    assert spread == local
+    # The trainings have come along, whole.
+    names = [
+        sorted(path.relative_to(out).as_posix() for path in (out / "runs").rglob("*"))
+        for out in folders
+    ]
+    assert names[0] == names[1]
+    for agent in ("readout_pinv", "ppo"):
+        weights = [
+            np.load(out / "runs" / f"{agent}-quadratic-0" / "best.npz", allow_pickle=False)
+            for out in folders
+        ]
+        for key in weights[0].files:
+            if weights[0][key].dtype.kind == "f":
+                np.testing.assert_array_equal(*(each[key] for each in weights))
+    # What a training has left here goes along too: it is not trained again.
+    kept = folders[1] / "results" / "ppo-quadratic-0.json"
+    before = json.loads(kept.read_text(encoding="utf-8"))
+    kept.unlink()
+    compare(comparison, folders[1], progress=False)
+    assert json.loads(kept.read_text(encoding="utf-8"))["training"] == before["training"]
+
+
+def test_what_a_call_costs(
+    nodes: Any, octoarm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benchmark, "STEPS", 10)
+    out = tmp_path / "cluster.json"
+    options = ("--cluster", nodes.address, "--seconds", 0.1, "--rounds", 1, "--out", out)
+    result = octoarm("benchmark", *options)
+    assert result.exit_code == 0, result.output
+    content = json.loads(out.read_text(encoding="utf-8"))
+    assert set(content["contenders"]) == set(benchmark.PLACES)
+    for row in content["contenders"].values():
+        assert row[benchmark.EMPTY]["min"] > 0
+        assert row[benchmark.TRIAL]["min"] > 0
+    assert set(content["ratios"]) == {"ray_beyond", "ray_over", "ray_scaling", "scaling"}
+
+
+def here() -> str:
+    return str(ray.get_runtime_context().get_node_id())
+
+
+def die_on(parameters: ArmParameters, *, trial: int, doomed: str, log: str) -> dict[str, Any]:
+    """A trial that never ends on one node, and on the others not before that one has begun some."""
+    on_doomed = here() == doomed
+    with Path(log).open("a", encoding="utf-8") as file:
+        file.write(f"{trial} {on_doomed:d}\n")
+    while on_doomed or (doomed and " 1\n" not in Path(log).read_text(encoding="utf-8")):
+        time.sleep(0.05)
+    return {"trial": trial, "length": parameters.rest_length * trial}
+
+
+def test_a_killed_node_loses_nothing_and_doubles_nothing(
+    nodes: Any, cluster: Cluster, tmp_path: Path
+) -> None:
+    node = nodes.add_node(num_cpus=1)
+    log = tmp_path / "log"
+    log.touch()
+    trials = [{"trial": k, "doomed": node.node_id, "log": str(log)} for k in range(8)]
+
+    def begun() -> list[list[str]]:
+        return [line.split() for line in log.read_text(encoding="utf-8").splitlines()]
+
+    def kill() -> None:
+        while all(doomed == "0" for _, doomed in begun()):
+            time.sleep(0.05)
+        nodes.remove_node(node, allow_graceful=False)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    # A processor more than the nodes that stay have.
+    results = run_trials(
+        die_on, ArmParameters(), trials, folder=tmp_path / "trials", jobs=Cluster(cluster.jobs + 1)
+    )
+    killer.join()
+    lost = {trial for trial, doomed in begun() if doomed == "1"}
+    assert lost
+    assert {trial for trial, doomed in begun() if doomed == "0"} == set("01234567")
+    files = [json.loads(each.read_text("utf-8")) for each in (tmp_path / "trials").iterdir()]
+    assert sorted(each["result"]["trial"] for each in files) == list(range(8))
+    local = [{**each, "doomed": ""} for each in trials]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(globals(), "here", lambda: "here")
+        assert results == run_trials(
+            die_on, ArmParameters(), local, folder=tmp_path / "local", jobs=1
+        )
+
+
+def meet(folder: str, name: str, number: int) -> str:
+    """Wait until so many calls are under way at the same time."""
+    (Path(folder) / name).touch()
+    while len(list(Path(folder).iterdir())) < number:
+        time.sleep(0.05)
+    return name
+
+
+def fail(folder: str, name: str) -> str:
+    """Wait for ever, or fail once another call waits."""
+    if name == "waits":
+        meet(folder, name, 1000)
+    while not list(Path(folder).iterdir()):
+        time.sleep(0.05)
+    raise ValueError("no such luck")
+
+
+def test_an_error_ends_the_other_calls(cluster: Cluster, tmp_path: Path) -> None:
+    (tmp_path / "first").mkdir()
+    calls = [(str(tmp_path / "first"), name) for name in ("waits", "fails")]
+    with pytest.raises(ValueError, match=r"\Ano such luck\Z"):
+        list(map_unordered(fail, calls, cluster))
+    # Both processors are free again.
+    (tmp_path / "second").mkdir()
+    calls = [(str(tmp_path / "second"), name, 2) for name in "ab"]
+    assert sorted(map_unordered(meet, calls, cluster)) == [(0, "a"), (1, "b")]
+
+
+def test_no_more_calls_at_once_than_asked_for(cluster: Cluster, tmp_path: Path) -> None:
+    calls = [(str(tmp_path), k) for k in range(4)]
+    assert sorted(map_unordered(count_others, calls, Cluster(1))) == [(k, 0) for k in range(4)]
+
+
+def count_others(folder: str, number: int) -> int:
+    mine = Path(folder) / str(number)
+    mine.touch()
+    time.sleep(0.1)
+    others = len(list(Path(folder).iterdir())) - 1
+    mine.unlink()
+    return others
+
+
+def test_a_node_with_other_packages_is_named(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = workers._installed()
+    monkeypatch.setattr(workers, "_installed", lambda: installed | {"numpy": "1.0"})
+    with pytest.raises(RuntimeError, match=r"the node .* has other packages: .*instead of 1\.0"):
+        list(map_unordered(abs, [(-1,)], cluster))
+
+
+def stay(parameters: ArmParameters, *, trial: int) -> dict[str, Any]:
+    while trial > 1:
+        time.sleep(0.05)
+    return {"trial": trial}
+
+
+def test_an_interrupt_leaves_what_is_finished(nodes: Any, tmp_path: Path) -> None:
+    script = (
+        "import sys, pathlib; sys.path.insert(0, sys.argv[1]); import test_cluster as t\n"
+        "t.run_trials(t.stay, t.ArmParameters(), [{'trial': k} for k in range(4)],"
+        " folder=pathlib.Path(sys.argv[2]), jobs=t.Cluster.connect(sys.argv[3]))"
+    )
+    folder = tmp_path / "trials"
+    run = subprocess.Popen(
+        [sys.executable, "-c", script, str(Path(__file__).parent), str(folder), nodes.address],
+        stderr=subprocess.PIPE,
+        env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"},
+        text=True,
+    )
+    while run.poll() is None and len(list(folder.glob("*.json"))) < 2:
+        time.sleep(0.05)
+    run.send_signal(signal.SIGINT)
+    _, errors = run.communicate(timeout=120)
+    assert run.returncode != 0
+    assert errors.rstrip().endswith("KeyboardInterrupt")
+    files = [json.loads(file.read_text(encoding="utf-8")) for file in folder.glob("*.json")]
+    assert sorted(each["result"]["trial"] for each in files) == [0, 1]
+
+
+def test_an_address_where_nothing_answers_is_named(
+    nodes: Any, octoarm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    for address, reason in (("127.0.0.1:1", "refused"), ("nonsense", "Invalid address")):
+        result = octoarm("reproduce", "table2", "--cluster", address, "--out", tmp_path)
+        assert result.exit_code == 2
+        assert f"cluster = '{address}': no Ray cluster answers there" in result.output
+        assert reason in result.output
