@@ -248,9 +248,9 @@ fn a_world_whose_step_was_given_up_begins_anew() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         assert_eq!(state(&mut heir).await, State::Running);
-        assert_eq!(sessions.metrics.steps.get(), 0);
+        let before = sessions.metrics.steps.get();
         assert_eq!(state(&mut heir).await, State::Running);
-        assert_eq!(sessions.metrics.steps.get(), 40);
+        assert_eq!(sessions.metrics.steps.get() - before, 16);
     });
 }
 
