@@ -110,6 +110,18 @@ def test_a_peer_that_stops_answering_is_given_up() -> None:
         assert quiet.step().state == RUNNING
 
 
+def test_a_pause_of_the_server_ends_no_connection() -> None:
+    options = ("--keepalive-interval", "0.2", "--keepalive-timeout", "0.7", "--metrics-port", "0")
+    with ServerProcess(*options) as server, Client(server.address) as quiet:
+        quiet.enter()
+        server.process.send_signal(signal.SIGSTOP)
+        # Longer than a connection may be silent.
+        time.sleep(2.5)
+        server.process.send_signal(signal.SIGCONT)
+        time.sleep(0.3)
+        assert quiet.step().state == RUNNING
+
+
 def test_a_client_that_reads_no_answers_keeps_nothing() -> None:
     options = ("--idle-timeout", "3", "--metrics-port", "0")
     with (

@@ -79,7 +79,7 @@ pub struct Options {
     #[arg(long, value_name = "BYTES")]
     max_bytes_in_flight: Option<usize>,
     /// Connections at a time; one more takes the place of the oldest over which no call was let in, or
-    /// waits if there is none [default: 1024, or what the limit of open files allows].
+    /// waits if there is none; there are fewer where the system allows fewer open files [default: 1024].
     #[arg(long, value_name = "NUMBER")]
     max_connections: Option<usize>,
     /// Connections at a time from one address (of IPv6, from one network of 64 bits); what is more is

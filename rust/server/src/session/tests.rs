@@ -214,7 +214,7 @@ fn long_world() -> [(&'static str, Tensor); 2] {
 }
 
 #[test]
-fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
+fn a_long_step_is_computed_elsewhere_and_ends_with_its_stream() {
     run(async {
         let sessions = sessions(Limits { max_physics_steps: 1_000_000, ..limits() });
         let mut session = open(&sessions);
@@ -228,6 +228,29 @@ fn a_long_step_is_computed_elsewhere_and_survives_its_stream() {
         step.abort();
         until(|| sessions.metrics.worlds.get() == 0).await;
         assert_eq!(sessions.worlds.len(), 0);
+    });
+}
+
+#[test]
+fn a_world_whose_step_was_given_up_begins_anew() {
+    run(async {
+        let sessions = sessions(Limits { max_physics_steps: 1_000_000, ..limits() });
+        let (mut maker, mut joined, mut heir) = (open(&sessions), open(&sessions), open(&sessions));
+        let world = create(&mut maker, &long_world()).await;
+        assert_eq!(code(&mut joined, join_of(&world)).await, Code::Ok);
+        assert_eq!(state(&mut joined).await, State::Running);
+        let step = tokio::spawn(async move { state(&mut joined).await });
+        tokio::time::sleep(Duration::from_millis(2)).await;
+        step.abort();
+        until(|| sessions.metrics.streams.get() == 2).await;
+        // The part that was being made may take a moment yet.
+        while code(&mut heir, join_of(&world)).await != Code::Ok {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        assert_eq!(state(&mut heir).await, State::Running);
+        let before = sessions.metrics.steps.get();
+        assert_eq!(state(&mut heir).await, State::Running);
+        assert_eq!(sessions.metrics.steps.get() - before, 16);
     });
 }
 
