@@ -12,11 +12,12 @@ pytest.importorskip("grpc")
 pytest.importorskip("dm_env_rpc")
 
 from octoarm_agents.benchmark import server
-from octoarm_agents.benchmark.server import load_name
+from octoarm_agents.benchmark.server import batch_name, load_name
 from octoarm_agents.benchmark.turns import Spread
 
 FOLDER = "OCTOARM_SERVER_FOLDER"
 PROGRAMS = ("octoarm-server", "octoarm-load")
+BATCHES = (2, 9)
 SERVERS = (server.SERVER, server.SLEEPING)
 TINY = ("benchmark", "--server", "--seconds", 0.1, "--rounds", 1)
 
@@ -42,6 +43,7 @@ def result():
     """One run with all that there is."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(server, "CONNECTIONS", (1, 4))
+        patch.setattr(server, "BATCHES", BATCHES)
         return server.measure_server(0.1, 1)
 
 
@@ -49,7 +51,10 @@ class TestMeasuring:
     def test_one_run_is_complete(self, result):
         names = {load_name(each, 1, period) for each in SERVERS for period in server.PERIODS}
         names |= {load_name(server.SERVER, 4, 0.01), server.LOCAL, server.DEEPMIND}
-        names |= {server.REMOTE} - set(result.left_out)
+        if server.REMOTE not in result.left_out:
+            batches = [(arms, remote) for arms in BATCHES for remote in (True, False)]
+            names |= {batch_name(arms, remote=remote) for arms, remote in batches}
+            names.add(server.REMOTE)
         assert set(result.figures) == names
         for name, figures in result.figures.items():
             trips = [figures[f"{percentile}_us"][0] for percentile in server.PERCENTILES]
