@@ -13,7 +13,6 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::protocol::environment_request::Payload;
-use crate::session::Asked;
 
 /// Kinds of requests; the last are those that hold none that is known.
 const KINDS: [&str; 9] = [
@@ -212,12 +211,13 @@ impl Metrics {
         self.waiting.get_or_create_owned(&vec![("pool", pool)])
     }
 
+    /// The counters of requests that make worlds.
+    pub(crate) fn of_creation(&self) -> &Requests {
+        &self.requests[0]
+    }
+
     /// The counters of a request's kind.
-    pub(crate) fn of(&self, asked: &Asked) -> &Requests {
-        let payload = match asked {
-            Asked::Create(_) => return &self.requests[0],
-            Asked::Other(request) => request.payload.as_ref(),
-        };
+    pub(crate) fn of(&self, payload: Option<&Payload>) -> &Requests {
         let kind = match payload {
             Some(Payload::CreateWorld(_)) => 0,
             Some(Payload::JoinWorld(_)) => 1,

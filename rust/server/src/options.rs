@@ -289,9 +289,9 @@ impl Options {
             }
         };
         let tokens = match &options.token_file {
-            Some(path) => tokens::read_file(path)?,
+            Some(path) => tokens::read_file(path).map_err(SettingsError::Value)?,
             None => match std::env::var(TOKEN_VARIABLE) {
-                Ok(text) => Token::read(TOKEN_VARIABLE, &text)?,
+                Ok(text) => Token::read(TOKEN_VARIABLE, &text).map_err(SettingsError::Value)?,
                 Err(std::env::VarError::NotPresent) => Vec::new(),
                 Err(error) => {
                     return Err(SettingsError::Value(format!("{TOKEN_VARIABLE}: {error}")));

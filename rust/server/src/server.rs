@@ -85,7 +85,7 @@ impl Reloader {
     /// log tells.
     pub fn reload(&self) {
         let certificate = self.tls.as_ref().map_or(Ok(()), |tls| tls.reload());
-        let tokens = self.tokens.reload(next_connection()).map_err(|error| error.to_string());
+        let tokens = self.tokens.reload(next_connection());
         for error in [certificate, tokens].into_iter().filter_map(Result::err) {
             tracing::error!("not reloaded: {error}");
         }

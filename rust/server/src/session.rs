@@ -173,7 +173,10 @@ impl Session {
 
     async fn answer_since(&mut self, begin: Instant, asked: Asked) -> EnvironmentResponse {
         let metrics = Arc::clone(&self.sessions.metrics);
-        let requests = metrics.of(&asked);
+        let requests = match &asked {
+            Asked::Create(_) => metrics.of_creation(),
+            Asked::Other(request) => metrics.of(request.payload.as_ref()),
+        };
         let answer = match asked {
             Asked::Create(Err(refusal)) => Err(refusal),
             Asked::Create(Ok(settings)) => self.create(settings).await.map(Response::CreateWorld),

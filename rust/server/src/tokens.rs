@@ -5,8 +5,6 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use subtle::{Choice, ConstantTimeEq};
 
-use crate::settings::SettingsError;
-
 /// Fewest characters of a token: what is shorter can be guessed.
 const SHORTEST: usize = 16;
 
@@ -27,8 +25,8 @@ impl std::fmt::Debug for Token {
 impl Token {
     /// Reads tokens, one a line, each with its name before it if it has one; what follows a # is a
     /// remark.
-    pub(crate) fn read(source: &str, text: &str) -> Result<Vec<Self>, SettingsError> {
-        let fail = |reason: String| Err(SettingsError::Value(format!("{source}: {reason}")));
+    pub(crate) fn read(source: &str, text: &str) -> Result<Vec<Self>, String> {
+        let fail = |reason: String| Err(format!("{source}: {reason}"));
         let mut tokens: Vec<Self> = Vec::new();
         for line in text.lines().map(str::trim) {
             if line.is_empty() || line.starts_with('#') {
@@ -61,9 +59,9 @@ impl Token {
 }
 
 /// Reads the tokens of a file, and warns where others of the machine can.
-pub(crate) fn read_file(path: &Path) -> Result<Vec<Token>, SettingsError> {
+pub(crate) fn read_file(path: &Path) -> Result<Vec<Token>, String> {
     let text = std::fs::read_to_string(path)
-        .map_err(|error| SettingsError::Value(format!("token_file {}: {error}", path.display())))?;
+        .map_err(|error| format!("token_file {}: {error}", path.display()))?;
     Token::read("token_file", &text)
 }
 
@@ -130,7 +128,7 @@ impl Tokens {
 
     /// Reads the file again. What it does not hold any more opens nothing over the connections from
     /// number `first` on; what is older stays as it was let in.
-    pub(crate) fn reload(&self, first: u64) -> Result<(), SettingsError> {
+    pub(crate) fn reload(&self, first: u64) -> Result<(), String> {
         let Some(file) = &self.file else { return Ok(()) };
         let tokens = read_file(file)?;
         warn_if_open("token_file", file);
