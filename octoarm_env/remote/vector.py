@@ -213,8 +213,8 @@ class RemoteOctoArmVectorEnv(OctoArmVectorEnv):
     interrupts and threads are those of :class:`octoarm_env.remote.RemoteOctoArm`: after a stream
     that broke or was interrupted, a :meth:`reset` of all environments goes on, in a new world.
 
-    A :meth:`snapshot` holds states as bytes, less than half as many as their JSON text has;
-    :meth:`restore` takes those of the local batch too.
+    A ``snapshot`` holds states as bytes, less than half as many as their JSON text has;
+    ``restore`` takes those of the local batch too.
 
     Args:
         num_envs: number of environments N, from 1 to what the server allows.
