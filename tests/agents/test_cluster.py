@@ -15,16 +15,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from octoarm_agents.benchmark import cluster as benchmark
 from octoarm_agents.common import workers
 from octoarm_agents.common.trials import run_trials
 from octoarm_agents.common.workers import Cluster, map_unordered
 from octoarm_agents.comparison import Comparison, TestPlan, compare
+from octoarm_agents.policies import load_policy
+from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED, evaluate_policy
+from octoarm_agents.rl import Training
+from octoarm_agents.rl.tuning import tune_algorithm
 
 from octoarm_env import ArmParameters
 
 ray = pytest.importorskip("ray", reason='a cluster needs pip install "octoarm-agents[ray]"')
 cluster_utils = pytest.importorskip("ray.cluster_utils")
+rllib = pytest.importorskip("octoarm_agents.rl.rllib")
 
 pytestmark = [
     # Of Ray's own, as its processes end.
@@ -264,8 +270,8 @@ def count_others(folder: str, number: int) -> int:
 def test_a_node_with_other_packages_is_named(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    installed = workers._installed()
-    monkeypatch.setattr(workers, "_installed", lambda: installed | {"numpy": "1.0"})
+    installed = workers.installed()
+    monkeypatch.setattr(workers, "installed", lambda: installed | {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"the node .* has other packages: .*instead of 1\.0"):
         list(map_unordered(abs, [(-1,)], cluster))
 
@@ -308,3 +314,83 @@ def test_an_address_where_nothing_answers_is_named(
         assert result.exit_code == 2
         assert f"cluster = '{address}': no Ray cluster answers there" in result.output
         assert reason in result.output
+
+
+def test_a_search_goes_on_here_and_there(nodes: Any, octoarm: Any, tmp_path: Path) -> None:
+    # So few steps that nothing is learnt from them yet.
+    command = ("tune", "sac", "--steps", 32, "--out", tmp_path)
+    for first, trials, where in ((0, 2, ("--cluster", nodes.address)), (2, 3, ())):
+        result = octoarm(*command, *where, "--trials", trials)
+        assert result.exit_code == 0, result.output
+        study = json.loads((tmp_path / "study.json").read_text("utf-8"))
+        assert [each["number"] for each in study["trials"]] == list(range(trials))
+        for trial in study["trials"]:
+            told = f"trial {trial['number']}: {'given up' if trial['pruned'] else ''}"
+            assert result.output.count(told) == (trial["number"] >= first)
+    # What the file of today holds was tried first, and is worth there what it is worth here.
+    here = tune_algorithm("sac", tmp_path / "here", trials=1, steps=32)
+    for name in ("parameters", "value"):
+        assert study["trials"][0][name] == here["trials"][0][name]
+    assert study["trials"][0]["returns"] == pytest.approx(here["trials"][0]["returns"])
+
+
+def test_rllib_trains_and_goes_on(
+    nodes: Any, octoarm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("train", "ppo", "--engine", "rllib", "--cluster", nodes.address, "--workers", 1)
+    command = (*command, "--evaluations", 2, "--steps", 2048, "--out", tmp_path)
+
+    start = rllib.Judge.start
+
+    def stop(judge: Any) -> None:
+        start(judge)
+        if judge.curve:
+            raise KeyboardInterrupt
+
+    # After the first evaluation, and the checkpoint.
+    monkeypatch.setattr(rllib.Judge, "start", stop)
+    assert octoarm(*command).exit_code != 0
+    monkeypatch.undo()
+    assert not (tmp_path / "training.json").exists()
+    refused = octoarm(*command)
+    assert refused.exit_code == 2
+    assert "resume it" in refused.output
+    assert octoarm(*command, "--resume").exit_code == 0
+    training = json.loads((tmp_path / "training.json").read_text("utf-8"))
+    assert [point["steps"] for point in training["curve"]] == [1024, 2048]
+    for name, point in (("best", training["best"]), ("final", training["final"])):
+        policy = load_policy(tmp_path / f"{name}.npz")
+        returns = evaluate_policy(policy, policy, episodes=JUDGED_EPISODES, seed=JUDGING_SEED)
+        assert returns["return"] == point["return"]
+
+
+def test_an_exported_network_acts_as_rllib_does(cluster: Cluster) -> None:
+    config = rllib.ppo_config(Training.make("ppo", "lissajous", num_envs=2), workers=0)
+    algorithm = config.build_algo()
+    try:
+        given = config.env_config
+        lengths = given["mean"] + np.linspace(-12, 12, 240).reshape(3, 80) / given["scale"]
+        seen = np.clip((lengths - given["mean"]) * given["scale"], -10, 10)
+        outputs = algorithm.get_module().forward_inference(
+            {"obs": torch.as_tensor(seen, dtype=torch.float32)}
+        )
+        expected = outputs["action_dist_inputs"][:, :2].numpy()
+        actions, _ = rllib.export_network(algorithm).actions(lengths, None)
+        assert np.abs(expected).max() > 0.05
+        np.testing.assert_allclose(actions, np.clip(expected, -1, 1), atol=1e-5)
+    finally:
+        algorithm.stop()
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"algorithm": "sac"}, "algorithm = 'sac': with RLlib expected 'ppo'"),
+        ({"noise": 1e-5}, "noise = 1e-05: with RLlib expected 0.0"),
+        ({"num_envs": 3}, "num_envs = 3: expected a multiple of 2"),
+    ],
+)
+def test_what_rllib_cannot_do_is_refused(more: dict[str, Any], message: str) -> None:
+    training = Training.make(**{"algorithm": "ppo", "target": "quadratic"} | more)
+    with pytest.raises(ValueError, match=message):
+        rllib.ppo_config(training, workers=2)

@@ -21,8 +21,7 @@ import pytest
 import torch
 import yaml
 from octoarm_agents.policies import NetworkPolicy, load_policy
-from octoarm_agents.rl import ALGORITHMS, Hyperparameters, Training, train, tuning
-from octoarm_agents.rl import training as rl_training
+from octoarm_agents.rl import ALGORITHMS, Hyperparameters, Training, judging, train, tuning
 from octoarm_agents.rl.checkpoint import read_checkpoint
 from octoarm_agents.rl.hyperparameters import algorithm_class, hyperparameter_file
 from octoarm_agents.rl.tuning import sample, tune_algorithm
@@ -42,7 +41,7 @@ STEPS = 256
 @pytest.fixture(autouse=True, scope="module")
 def short_evaluations() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rl_training, "JUDGED_STEPS", 20)
+        patch.setattr(judging, "JUDGED_STEPS", 20)
         yield
 
 
@@ -381,9 +380,9 @@ def test_tuning_tries_and_goes_on(tmp_path: Path) -> None:
     assert first["best"]["hyperparameters"] == present.entries()
     reported = []
     second = tune_algorithm(
-        "sac", tmp_path, trials=2, steps=32, report=lambda study, trial: reported.append(trial)
+        "sac", tmp_path, trials=2, steps=32, report=lambda trial, best: reported.append(trial)
     )
-    assert [trial.number for trial in reported] == [1]
+    assert reported == second["trials"][1:]
     assert second["trials"][:1] == first["trials"]
     assert len(second["trials"]) == 2
     complete = [each for each in second["trials"] if not each["pruned"]]

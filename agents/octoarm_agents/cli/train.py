@@ -6,7 +6,7 @@ import math
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -14,6 +14,7 @@ from octoarm_agents.cli.options import (
     Algorithm,
     Amplitude,
     Body,
+    ClusterAddress,
     NoiseSize,
     Seed,
     Target,
@@ -22,6 +23,7 @@ from octoarm_agents.cli.options import (
     output_folder,
     read_body,
     refused,
+    workers_of,
 )
 from octoarm_agents.common.progress import progress_bar
 
@@ -53,10 +55,19 @@ def train(
     arm: Body = None,
     noise: NoiseSize = 0.0,
     tensorboard: Annotated[
-        bool, typer.Option(help="Write logs for TensorBoard into the folder.")
+        bool, typer.Option(help="Write logs for TensorBoard into the folder; with sb3.")
     ] = True,
+    engine: Annotated[
+        Literal["sb3", "rllib"],
+        typer.Option(help="stable-baselines3, or Ray's RLlib, which knows ppo only."),
+    ] = "sb3",
+    workers: Annotated[
+        int | None,
+        number("Processes that step arms, with rllib.", 0, 1024, show_default="2"),
+    ] = None,
+    cluster: ClusterAddress = None,
 ) -> None:
-    """Train an agent with stable-baselines3 on the native batch of arms.
+    """Train an agent on the native batch of arms.
 
     The policy is evaluated on seeds that it is not trained on: best.npz is the
     best one, final.npz the last. Both act without PyTorch: octoarm evaluate,
@@ -66,10 +77,21 @@ def train(
     The same seed gives the same curve. The same call with --resume goes on
     where an interrupted training was last saved, and computes what it would
     have computed; with more --steps it goes on for longer (docs/agents.md).
+
+    With --engine rllib, --workers processes step the arms, here or on a Ray
+    cluster; a training is then alike for the same seed, not equal, and may not
+    be extended (docs/cluster.md).
     """
+    if engine == "sb3" and (workers, cluster) != (None, None):
+        raise typer.BadParameter("--workers and --cluster: only with --engine rllib.")
     with need_extra("rl"):
         from octoarm_agents.rl import Hyperparameters, Training
         from octoarm_agents.rl import train as run
+    if engine == "rllib":
+        with need_extra("rllib"):
+            from octoarm_agents.rl import rllib
+        if cluster is not None:
+            workers_of(None, cluster)
 
     folder = output_folder(out or Path("out/train") / f"{algorithm}-{target}-{seed}")
     env = {"amplitude": amplitude, "arm": None if arm is None else read_body(arm)}
@@ -94,15 +116,14 @@ def train(
                 if not math.isnan(value):
                     bar.set_postfix_str(f"return {value:.1f} of 500")
 
-            summary = run(
-                training,
-                folder,
-                resume=resume,
-                extend=resume and steps is not None,
-                tensorboard=tensorboard,
-                progress=progress,
-                command=shlex.join(["octoarm", *sys.argv[1:]]),
-            )
+            given: dict[str, Any] = {"resume": resume, "progress": progress}
+            given["command"] = shlex.join(["octoarm", *sys.argv[1:]])
+            if engine == "rllib":
+                workers = 2 if workers is None else workers
+                summary = rllib.train(training, folder, workers=workers, **given)
+            else:
+                extend = resume and steps is not None
+                summary = run(training, folder, extend=extend, tensorboard=tensorboard, **given)
     best, final = summary["best"], summary["final"]
     typer.echo(
         f"Trained {final['steps']:,} steps in {summary['seconds']:.0f} s. The last policy earns "

@@ -126,7 +126,7 @@ def _map_on_cluster(
     from ray.exceptions import RayTaskError
 
     task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_call_alike)
-    here = _installed()
+    here = installed()
     left = enumerate(calls)
     begun: dict[Any, int] = {}
     try:
@@ -154,18 +154,24 @@ def _call_alike(
     function: Callable[..., Result], call: tuple[Any, ...], expected: dict[str, str | None]
 ) -> Result:
     """On a node: call, but only with what the caller has installed, so that the bits are equal."""
+    check_installed(expected)
+    return function(*call)
+
+
+def installed() -> dict[str, str | None]:
+    """Versions of all packages that compute, and a digest of the code: for `check_installed`."""
+    return package_versions(*_PACKAGES) | {"code": code_digest(__name__)}
+
+
+def check_installed(expected: dict[str, str | None]) -> None:
+    """On a node: raise a RuntimeError unless what is installed is what the caller has."""
     differing = {
         name: f"{version} instead of {expected[name]}"
-        for name, version in _installed().items()
+        for name, version in installed().items()
         if version != expected[name]
     }
     if differing:
         raise RuntimeError(f"the node {socket.gethostname()} has other packages: {differing}")
-    return function(*call)
-
-
-def _installed() -> dict[str, str | None]:
-    return package_versions(*_PACKAGES) | {"code": code_digest(__name__)}
 
 
 def _knock(address: str) -> None:

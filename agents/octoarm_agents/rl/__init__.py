@@ -3,7 +3,8 @@
 try:
     from octoarm_agents.rl.hyperparameters import ALGORITHMS, Hyperparameters
     from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv, make_sb3_vec_env
-    from octoarm_agents.rl.training import Training, train
+    from octoarm_agents.rl.task import Training
+    from octoarm_agents.rl.training import train
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         f'{error}. octoarm_agents.rl needs more packages: pip install "octoarm-agents[rl]"',

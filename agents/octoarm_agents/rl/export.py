@@ -38,13 +38,17 @@ def export_network(model: Any, normalization: VecNormalize) -> Network:
             lstm = _lstm(policy.lstm_actor)
     else:
         parts, output = [*policy.actor.latent_pi, policy.actor.mu], "tanh"
-    layers, activation = _layers(parts)
+    layers, activation = layers_of(parts)
     mean, scale, clip = _normalization(normalization)
     return Network(mean, scale, clip, layers, activation, output, lstm)
 
 
-def _layers(parts: list[Any]) -> tuple[tuple[tuple[Any, Any], ...], str]:
-    """Weights and biases of the linear parts, and the activation between them."""
+def layers_of(parts: list[Any]) -> tuple[tuple[tuple[Any, Any], ...], str]:
+    """Weights and biases of an actor's linear parts, and the activation between them.
+
+    Raises:
+        ValueError: parts of another kind.
+    """
     linear = [part for part in parts if isinstance(part, torch.nn.Linear)]
     between = {type(part) for part in parts if not isinstance(part, torch.nn.Linear)}
     if not between:

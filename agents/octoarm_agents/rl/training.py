@@ -4,109 +4,28 @@ from __future__ import annotations
 
 import json
 import random
-import time
-from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from warnings import warn
 
-import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
 
-from octoarm_agents.common.environment import ENV_ID, inspect_env, make_vector_env
-from octoarm_agents.common.files import write_atomically, write_json
-from octoarm_agents.common.provenance import describe_machine, package_versions
-from octoarm_agents.common.whole import whole_fields
-from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED
+from octoarm_agents.common.files import write_atomically
 from octoarm_agents.policies.policy import Policy
-from octoarm_agents.policies.rollout import roll_out
 from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
+from octoarm_agents.rl.judging import Judge, Progress
 from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
+from octoarm_agents.rl.task import Training, check_same
 
-JUDGED_STEPS = 500
-"""Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
-
-_PACKAGES = ("octoarm-env", "octoarm-agents", "stable-baselines3", "sb3-contrib", "torch", "numpy")
-"""Their versions are written down."""
-
-Progress = Callable[[int, float], None]
-
-
-@dataclass(frozen=True)
-class Training:
-    """What is to be trained.
-
-    Attributes:
-        algorithm: one of `octoarm_agents.rl.ALGORITHMS`.
-        target: of the environment.
-        steps: environment steps over all environments.
-        seed: of networks, exploration and environments.
-        num_envs: environments that are stepped together.
-        evaluations: number of evaluations, at equal intervals.
-        episodes: of each evaluation.
-        env: further arguments of the environment.
-        hyperparameters: as in their file, under the environment's id.
-        noise: half width of white noise on the lengths that are trained with [m]; evaluations have
-            none.
-
-    Raises:
-        ValueError: a number out of its range, or an unknown algorithm.
-    """
-
-    algorithm: str
-    target: str
-    steps: int
-    seed: int
-    num_envs: int
-    evaluations: int
-    episodes: int
-    env: dict[str, Any]
-    hyperparameters: dict[str, Any]
-    noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        algorithm_class(self.algorithm)
-        if not 0 <= self.noise < 1:
-            raise ValueError(f"noise = {self.noise}: expected a number of metres from 0 to 1")
-        whole_fields(self, steps=1, seed=0, num_envs=1, evaluations=1, episodes=1)
-
-    @classmethod
-    def make(
-        cls,
-        algorithm: str,
-        target: str,
-        *,
-        steps: int | None = None,
-        seed: int = 0,
-        num_envs: int | None = None,
-        evaluations: int = 20,
-        episodes: int = JUDGED_EPISODES,
-        env: Mapping[str, Any] | None = None,
-        hyperparameters: Hyperparameters | None = None,
-        noise: float = 0.0,
-    ) -> Training:
-        """Describe a training; what is not given stands in the algorithm's own file."""
-        given = hyperparameters or Hyperparameters.load(algorithm)
-        return cls(
-            algorithm,
-            target,
-            given.steps if steps is None else steps,
-            seed,
-            given.num_envs if num_envs is None else num_envs,
-            evaluations,
-            episodes,
-            dict(env or {}),
-            given.entries(),
-            noise,
-        )
+_PACKAGES = ("stable-baselines3", "sb3-contrib", "torch")
+"""Their versions are written down too."""
 
 
 def train(
@@ -163,7 +82,7 @@ def train(
             )
         saved = read_checkpoint(checkpoint)
         extended = extend and saved["training"].get("steps", training.steps) < training.steps
-        _check_same(checkpoint, saved["training"], _plain(training), extended)
+        check_same(checkpoint, saved["training"], training.plain(), extended)
         finished = _finished(out, saved, training.steps)
         if finished is not None:
             return finished
@@ -217,19 +136,8 @@ class _Run(BaseCallback):
         self.seen = _NoisyLengths(self.monitor, training.noise) if training.noise else self.monitor
         normalize = {"gamma": given.arguments.get("gamma", 0.99), **given.normalize}
         self.envs = VecNormalize(self.seen, **normalize)
-        self.parameters, self.settings = inspect_env(gym.make(ENV_ID, **arguments))
-        self.judges = make_vector_env(
-            training.episodes, self.parameters, self.settings, steps=JUDGED_STEPS, threads=1
-        )
-        self.curve: list[dict[str, Any]] = []
-        self.seconds = 0.0
+        self.judge = Judge(training, out, command)
         self.resumed = 0
-        self.extended: list[dict[str, Any]] = []
-
-    @property
-    def best(self) -> dict[str, Any]:
-        """The first of the points with the highest return."""
-        return max(self.curve, key=lambda point: float(point["return"]))
 
     def run(self, saved: dict[str, Any] | None, tensorboard: bool) -> dict[str, Any]:
         kind = algorithm_class(self.training.algorithm)
@@ -250,82 +158,42 @@ class _Run(BaseCallback):
         logs = str(self.out / "tensorboard")
         self.model.set_logger(configure(logs, ["tensorboard"]) if tensorboard else Logger(None, []))
         left = self.training.steps - self.model.num_timesteps
-        self.begun = time.perf_counter()
+        self.judge.start()
         self.model.learn(left, callback=self, reset_num_timesteps=saved is None)
         policy = self.evaluate()
-        policy.save(self.out / "final.npz")
         write_atomically(self.out / "final_model.zip", self.model.save)
         write_atomically(self.out / "vecnormalize.pkl", lambda file: self.envs.save(str(file)))
-        summary = {
-            "training": _plain(self.training),
-            "command": self.command,
-            "environment": self.settings,
-            "curve": self.curve,
-            "best": self.best,
-            "final": self.curve[-1],
-            "seconds": self.seconds,
-            "resumed": self.resumed,
-            "extended": self.extended,
-            "parameters": policy.parameter_count,
-            "machine": describe_machine(),
-            "versions": package_versions(*_PACKAGES),
-        }
-        write_json(self.out / "training.json", summary)
+        summary = self.judge.finish(policy, _PACKAGES, resumed=self.resumed)
         self.checkpoint()
         return summary
 
     def _on_rollout_start(self) -> None:
-        done, interval = self.model.num_timesteps, self.training.steps / self.training.evaluations
-        last = self.curve[-1]["steps"] if self.curve else 0
-        if done // interval > last // interval and done < self.training.steps:
+        done, curve = self.model.num_timesteps, self.judge.curve
+        if self.judge.due(done):
             self.evaluate()
             self.checkpoint()
-            self.begun = time.perf_counter()
-        self.progress(done, self.curve[-1]["return"] if self.curve else float("nan"))
+            self.judge.start()
+        self.progress(done, curve[-1]["return"] if curve else float("nan"))
 
     def _on_step(self) -> bool:
         return True
 
     def evaluate(self) -> Policy:
-        """Let the policy act as it will be kept; keep it if it is the best so far."""
-        self.seconds += time.perf_counter() - self.begun
-        policy = Policy(
-            export_network(self.model, self.envs),
-            self.training.algorithm,
-            self.parameters,
-            self.settings,
-            {
-                **_plain(self.training),
-                "trained_steps": self.model.num_timesteps,
-                "command": self.command,
-                "extended": self.extended,
-            },
-            self.training.seed,
-        )
-        returns = roll_out(policy, self.judges, seed=JUDGING_SEED, steps=JUDGED_STEPS).returns
-        point = {
-            "steps": self.model.num_timesteps,
-            "seconds": self.seconds,
-            "return": float(returns.mean()),
-            "lowest": float(returns.min()),
-            "highest": float(returns.max()),
-        }
-        policy.training["return"] = point["return"]
-        self.curve.append(point)
-        if self.best is point:
-            policy.save(self.out / "best.npz")
-        self.model.logger.record("eval/return", point["return"])
+        """Judge the policy as it is."""
+        network = export_network(self.model, self.envs)
+        policy = self.judge.judge(network, self.model.num_timesteps)
+        self.model.logger.record("eval/return", policy.training["return"])
         return policy
 
     def checkpoint(self) -> None:
         """Save all that the rest of the training depends on."""
         self.model.policy.set_training_mode(False)
         state = {
-            "training": _plain(self.training),
-            "curve": self.curve,
-            "seconds": self.seconds,
+            "training": self.training.plain(),
+            "curve": self.judge.curve,
+            "seconds": self.judge.seconds,
             "resumed": self.resumed,
-            "extended": self.extended,
+            "extended": self.judge.extended,
             "normalization": self.envs,
             "normalized_returns": self.envs.returns,
             "episode_returns": self.monitor.episode_returns,
@@ -340,8 +208,9 @@ class _Run(BaseCallback):
         write_checkpoint(self.out / "checkpoint.zip", self.model, state)
 
     def restore(self, kind: Any, saved: dict[str, Any]) -> None:
-        self.curve, self.seconds = saved["curve"], saved["seconds"]
-        self.resumed, self.extended = saved["resumed"] + 1, saved.get("extended", [])
+        judge = self.judge
+        judge.curve, judge.seconds = saved["curve"], saved["seconds"]
+        self.resumed, judge.extended = saved["resumed"] + 1, saved.get("extended", [])
         # The arms must have begun before they can go on.
         self.monitor.reset()
         self.envs = saved["normalization"]
@@ -357,36 +226,6 @@ class _Run(BaseCallback):
         np.random.set_state(saved["numpy_random"])  # noqa: NPY002
         torch.set_rng_state(saved["torch_random"])
         self.model.action_space.np_random.bit_generator.state = saved["action_random"]
-
-
-def _plain(training: Training) -> dict[str, Any]:
-    """A training as it reads in JSON."""
-    content = asdict(training)
-    if not isinstance(training.env.get("arm", ""), str):
-        content["env"] = {**training.env, "arm": training.env["arm"].to_dict()}
-    plain: dict[str, Any] = json.loads(json.dumps(content, allow_nan=False))
-    return plain
-
-
-def _check_same(file: Path, saved: dict[str, Any], wanted: dict[str, Any], extended: bool) -> None:
-    """Raise a ValueError where two trainings differ, but for their length if one is extended."""
-    saved = {"noise": 0.0, **saved}  # of before there was any
-    if extended:
-        saved, wanted = (_without_length(each) for each in (saved, wanted))
-    found = [
-        f"{name} is {saved.get(name)!r} there and {value!r} here"
-        for name, value in wanted.items()
-        if saved.get(name) != value
-    ]
-    if found:
-        raise ValueError(f"{file} is of another training: {'; '.join(found)}")
-
-
-def _without_length(training: dict[str, Any]) -> dict[str, Any]:
-    """A training but for what says how long it is and how often it is looked at."""
-    rest = {key: training[key] for key in training if key not in ("steps", "evaluations")}
-    given = rest["hyperparameters"]
-    return rest | {"hyperparameters": {key: given[key] for key in given if key != "n_timesteps"}}
 
 
 def _extend(saved: dict[str, Any], training: Training) -> None:
