@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -356,10 +355,3 @@ def test_a_cluster_needs_an_extra(octoarm, tmp_path, monkeypatch):
     assert result.exit_code == 1
     assert 'pip install "octoarm-agents[ray]"' in result.output
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-def test_the_script_for_slurm_can_be_read():
-    script = Path(__file__).parents[2] / "docs/cluster/octoarm.sbatch"
-    assert "octoarm compare --cluster auto" in script.read_text(encoding="utf-8")
-    subprocess.run(["bash", "-n", script], check=True)
