@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
+import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -15,8 +18,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from clients import wait_until
-from octoarm_agents.common.serving import ServerProcess
+from clients import metrics, wait_until
+from octoarm_agents.common.serving import ServerProcess, find_program
 
 from octoarm_env.remote import RemoteOctoArm, RemoteOctoArmVectorEnv
 from octoarm_env.remote.tls import diagnose
@@ -226,13 +229,26 @@ def test_sighup_exchanges_certificate_and_tokens(tmp_path: Path) -> None:
         assert TWO not in server.log
 
 
+def streams(server: ServerProcess) -> dict[str, float]:
+    """Open streams by the name of their token."""
+    found = metrics(server).items()
+    named = [(re.fullmatch(r'octoarm_client_streams\{token="(.*)"\}', key), n) for key, n in found]
+    return {match[1]: number for match, number in named if match}
+
+
 def test_several_tokens_and_wrong_ones(tmp_path: Path) -> None:
     token = tmp_path / "token"
     token.write_text(f"lab {ONE}\n# on the road\nnotebook\t{TWO}\n")
     token.chmod(0o600)
-    with ServerProcess("--token-file", str(token), "--log-level", "debug") as server:
+    options = ("--token-file", str(token), "--log-level", "debug", "--metrics-port", "0")
+    with ServerProcess(*options) as server:
         for secret in (ONE, TWO):
-            RemoteOctoArm(server.address, token=secret).close()
+            env = RemoteOctoArm(server.address, token=secret)
+            if secret == ONE:
+                # The other one has not been here yet.
+                assert streams(server) == {"lab": 1}
+            env.close()
+        wait_until(lambda: streams(server) == {"lab": 0, "notebook": 0}, str(streams(server)))
         said(server, "token=lab")
         said(server, "token=notebook")
         with pytest.raises(PermissionError, match="the token is wrong"):
@@ -241,6 +257,40 @@ def test_several_tokens_and_wrong_ones(tmp_path: Path) -> None:
             RemoteOctoArm(server.address)
         assert ONE not in server.log
         assert TWO not in server.log
+
+
+def test_the_load_with_tls_and_a_token(good: tuple[Path, Path], tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text(f"{ONE}\n")
+    token.chmod(0o600)
+    with ServerProcess(*tls(good), "--token-file", str(token)) as server:
+        address, trusted = f"https://{server.address}", ("--certificate", str(good[0]))
+
+        def load(*options: str, **environment: str) -> tuple[int, str]:
+            command = [str(find_program("octoarm-load")), address, "--seconds", "0.05", *options]
+            where = os.environ | environment
+            run = subprocess.run(
+                command, check=False, env=where, capture_output=True, text=True, timeout=60
+            )
+            return run.returncode, run.stdout + run.stderr
+
+        for options, environment in (
+            ((*trusted, "--token-file", str(token)), {}),
+            (trusted, {"OCTOARM_TOKEN": ONE}),
+        ):
+            code, output = load(*options, **environment)
+            assert code == 0, output
+            assert json.loads(output)["steps"] > 0
+        for options, message in (
+            (trusted, "this server needs a token"),
+            ((*trusted, "--token-file", str(good[0])), "octoarm-load: "),
+            (("--token-file", str(token)), "octoarm-load: "),
+            ((*trusted, "--token-file", str(tmp_path / "none")), "--token-file"),
+        ):
+            code, output = load(*options)
+            assert code == 1
+            assert message in output
+            assert ONE not in output
 
 
 def test_a_few_wrong_tokens_close_the_connection(tmp_path: Path) -> None:

@@ -10,6 +10,10 @@ use crate::listener::peer_of;
 use crate::metrics::Metrics;
 use crate::tokens::Tokens;
 
+/// The name of the token that a call was let in with, among its extensions.
+#[derive(Clone, Debug)]
+pub(crate) struct Owner(pub(crate) Arc<str>);
+
 /// Refuses calls without one of the tokens.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
@@ -20,7 +24,7 @@ pub(crate) struct Guard {
 }
 
 impl Interceptor for Guard {
-    fn call(&mut self, request: Request<()>) -> Result<Request<()>, Status> {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
         let peer = peer_of(request.extensions());
         let welcome = |request| {
             if let Some(peer) = &peer {
@@ -43,6 +47,7 @@ impl Interceptor for Guard {
                 let connection = peer.as_ref().map_or(u64::MAX, |peer| peer.connection);
                 if let Some(token) = self.tokens.owner(given, connection) {
                     tracing::debug!(?address, %token, "call let in");
+                    request.extensions_mut().insert(Owner(token));
                     return welcome(request);
                 }
                 if let Some(peer) = &peer {

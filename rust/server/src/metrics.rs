@@ -89,6 +89,17 @@ pub(crate) struct Metrics {
     errors: Family<Labels, Count>,
     turned_away: Family<Labels, Count>,
     waiting: Family<Labels, Level>,
+    clients: Family<Vec<(&'static str, String)>, Level>,
+}
+
+/// A stream of a client whose token has a name, as long as there is this.
+#[derive(Debug)]
+pub(crate) struct Present(Level);
+
+impl Drop for Present {
+    fn drop(&mut self) {
+        self.0.dec();
+    }
 }
 
 /// Memory of the process, read when it is asked for.
@@ -177,6 +188,12 @@ impl Metrics {
         );
         let waiting: Family<Labels, Level> = Family::default();
         registry_ref.register("jobs_waiting", "Long work that waits for its turn", waiting.clone());
+        let clients: Family<Vec<(&'static str, String)>, Level> = Family::default();
+        registry_ref.register(
+            "client_streams",
+            "Open streams of the clients with a token, by its name",
+            clients.clone(),
+        );
         Arc::new(Self {
             requests,
             steps,
@@ -190,6 +207,7 @@ impl Metrics {
             errors,
             turned_away,
             waiting,
+            clients,
             registry,
         })
     }
@@ -209,6 +227,13 @@ impl Metrics {
     /// The number of jobs that wait for a pool.
     pub(crate) fn waiting(&self, pool: &'static str) -> Level {
         self.waiting.get_or_create_owned(&vec![("pool", pool)])
+    }
+
+    /// Counts a stream that the token of this name has opened.
+    pub(crate) fn present(&self, token: &str) -> Present {
+        let level = self.clients.get_or_create_owned(&vec![("token", token.to_owned())]);
+        level.inc();
+        Present(level)
     }
 
     /// The counters of requests that make worlds.

@@ -9,6 +9,7 @@ use prost::Message as _;
 use tokio_stream::Stream;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::auth::Owner;
 use crate::codec::Environment;
 use crate::intake::{Room, SMALL, Share};
 use crate::listener::peer_of;
@@ -79,11 +80,14 @@ impl Environment for Service {
             return Err(Status::unavailable("the server is about to stop"));
         }
         let (sessions, room) = (Arc::clone(&self.sessions), Arc::clone(&self.room));
+        let owner = request.extensions().get::<Owner>();
+        let present = owner.map(|owner| sessions.metrics.present(&owner.0));
         let mut requests = request.into_inner();
         let mut session = Session::new(Arc::clone(&sessions), peer);
         // One task does everything for a stream: it reads, computes and answers, and the next request
         // is read when the answer has been taken.
         let answers = async_stream::stream! {
+            let _present = present;
             let idle = session.idle();
             let mut idle = std::pin::pin!(idle.cancelled());
             let mut stop = std::pin::pin!(sessions.stop.cancelled());

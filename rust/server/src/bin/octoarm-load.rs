@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::hint::black_box;
 use std::io::Write as _;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,7 +26,8 @@ use octoarm_server::protocol::{
 use tokio::sync::{Barrier, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
-use tonic::transport::{Channel, Endpoint};
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 
 type Failure = Box<dyn Error + Send + Sync>;
 
@@ -53,6 +55,43 @@ struct Options {
     /// Seconds from one action to the next.
     #[arg(long, default_value_t = 0.01)]
     control_period: f64,
+    /// File with the certificates (PEM) of those who may have signed the server's, for https://.
+    #[arg(long, value_name = "FILE")]
+    certificate: Option<PathBuf>,
+    /// File with the token that opens the server; without it, what OCTOARM_TOKEN holds.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+}
+
+/// Where the server is, and what opens it.
+#[derive(Clone, Debug)]
+struct Access {
+    endpoint: Endpoint,
+    authorization: Option<MetadataValue<Ascii>>,
+}
+
+impl Access {
+    fn new(options: &Options) -> Result<Self, Failure> {
+        let read = |name: &str, path: &PathBuf| {
+            std::fs::read_to_string(path)
+                .map_err(|error| format!("{name} {}: {error}", path.display()))
+        };
+        let mut endpoint = Endpoint::from_shared(options.address.clone())?.tcp_nodelay(true);
+        if let Some(path) = &options.certificate {
+            let certificate = Certificate::from_pem(read("--certificate", path)?);
+            endpoint = endpoint.tls_config(ClientTlsConfig::new().ca_certificate(certificate))?;
+        }
+        let token = match &options.token_file {
+            Some(path) => Some(read("--token-file", path)?),
+            None => std::env::var("OCTOARM_TOKEN").ok(),
+        };
+        let authorization = token.map(|token| -> Result<_, Failure> {
+            let mut value: MetadataValue<Ascii> = format!("Bearer {}", token.trim()).parse()?;
+            value.set_sensitive(true);
+            Ok(value)
+        });
+        Ok(Self { endpoint, authorization: authorization.transpose()? })
+    }
 }
 
 /// A stream that has joined a world of its own.
@@ -90,9 +129,8 @@ impl Client {
         }
     }
 
-    async fn new(options: &Options) -> Result<Self, Failure> {
-        let channel: Channel =
-            Endpoint::from_shared(options.address.clone())?.tcp_nodelay(true).connect().await?;
+    async fn new(options: &Options, access: &Access) -> Result<Self, Failure> {
+        let channel: Channel = access.endpoint.connect().await?;
         let endless = Tensor {
             payload: Some(Payload::Int64s(Int64Array { array: vec![-1] })),
             shape: vec![],
@@ -105,10 +143,11 @@ impl Client {
         let (requests, receiver) = mpsc::channel(1);
         // Some servers say nothing, not even that there is a stream, before they have a request.
         requests.send(EnvironmentRequest { payload: Some(create) }).await?;
-        let answers = EnvironmentClient::new(channel)
-            .process(ReceiverStream::new(receiver))
-            .await?
-            .into_inner();
+        let mut call = tonic::Request::new(ReceiverStream::new(receiver));
+        if let Some(value) = &access.authorization {
+            call.metadata_mut().insert("authorization", value.clone());
+        }
+        let answers = EnvironmentClient::new(channel).process(call).await?.into_inner();
         let mut client = Self { requests, answers };
         let Response::CreateWorld(world) = client.receive().await? else {
             return Err("no world was made".into());
@@ -158,11 +197,12 @@ fn microseconds(begin: Instant) -> f64 {
 /// Steps a world until the time is over, and an arm in this process in turn with it.
 async fn load(
     options: Options,
+    access: Access,
     mut twin: Option<Episode>,
     ready: Arc<Barrier>,
 ) -> Result<Times, Failure> {
     let client = async {
-        let mut client = Client::new(&options).await?;
+        let mut client = Client::new(&options, &access).await?;
         for step in 1..=WARM_UP {
             client.step(step).await?;
         }
@@ -208,9 +248,10 @@ fn percentiles(mut times: Vec<f64>) -> serde_json::Value {
 async fn measure(options: Options) -> Result<serde_json::Value, Failure> {
     let ready = Arc::new(Barrier::new(usize::from(options.connections)));
     let twin = if options.connections == 1 { Some(local(&options)?) } else { None };
-    let clients: Vec<_> = (0..options.connections)
-        .map(|_| tokio::spawn(load(options.clone(), twin.clone(), Arc::clone(&ready))))
-        .collect();
+    let access = Access::new(&options)?;
+    let begin = |_| load(options.clone(), access.clone(), twin.clone(), Arc::clone(&ready));
+    let clients: Vec<_> =
+        (0..options.connections).map(|connection| tokio::spawn(begin(connection))).collect();
     let mut all = Times::default();
     for client in clients {
         let times = client.await??;
