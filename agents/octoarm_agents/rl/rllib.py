@@ -256,7 +256,7 @@ def train(
                 progress(steps, judge.curve[-1]["return"] if judge.curve else float("nan"))
             if steps >= training.steps:
                 break
-            steps = algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"]
+            steps = int(algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"])
         policy = judge.judge(export_network(algorithm), steps)
         return judge.finish(policy, ("ray", "torch"), engine="rllib", workers=workers)
     finally:
