@@ -111,6 +111,10 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     | `tracking_weight`      | `1.0`         | see Rewards                                              |
     | `reward_width`         | `0.3`         | see Rewards                                              |
     | `action_change_weight` | `0.01`        | see Rewards                                              |
+    | `length_noise`         | `0.0`         | half width of white noise on every length that is seen, 0 to 1 m; what is seen stays within the observation space |
+    | `action_noise`         | `0.0`         | half width of white noise on the commanded angles, drawn every control period, 0 to 90 degrees |
+    | `delay`                | `0`           | control periods that a reading takes to the agent, 0 to 1000; at the begin of an episode the first one is seen |
+    | `dropout`              | `0`           | springs, drawn anew at every reset, whose rest length is seen in place of their length |
     | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering                |
     | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
     | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
@@ -156,6 +160,10 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,
         action_change_weight: float = 0.01,
+        length_noise: float = 0.0,
+        action_noise: float = 0.0,
+        delay: int = 0,
+        dropout: int = 0,
         render_mode: Literal["human", "rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
@@ -173,6 +181,10 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             tracking_weight,
             reward_width,
             action_change_weight,
+            length_noise,
+            action_noise,
+            delay,
+            dropout,
         )
         self._core = self._new_core()
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}

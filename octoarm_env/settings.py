@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from octoarm_env.arguments import actuator_name, number
+from octoarm_env.arguments import actuator_name, number, whole_number
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
 
@@ -95,6 +95,10 @@ class EpisodeSettings:
         tracking_weight: reward of an exactly tracked step.
         reward_width: tracking error at which it has fallen to 1/e, as a share of the amplitude.
         action_change_weight: cost of a unit of squared action change.
+        length_noise: half width of white noise on the lengths that are seen [m].
+        action_noise: half width of white noise on the commanded angles [degrees].
+        delay: control periods that a reading takes to the agent.
+        dropout: springs, drawn at every reset, whose rest length is seen in place of their length.
     """
 
     target: str | tuple[tuple[float, float], ...] = "quadratic"
@@ -106,6 +110,10 @@ class EpisodeSettings:
     tracking_weight: float = 1.0
     reward_width: float = 0.3
     action_change_weight: float = 0.01
+    length_noise: float = 0.0
+    action_noise: float = 0.0
+    delay: int = 0
+    dropout: int = 0
 
     def __post_init__(self) -> None:
         """Bring what was given into its plain form.
@@ -118,6 +126,8 @@ class EpisodeSettings:
             "target": _target(self.target),
             "actuator": actuator_name(self.actuator),
             "arm": ArmParameters.of(self.arm),
+            "delay": whole_number("delay", self.delay, 0),
+            "dropout": whole_number("dropout", self.dropout, 0),
         }
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)

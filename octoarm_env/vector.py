@@ -67,8 +67,8 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         amplitude: as in `OctoArmEnv`, for all; or a sequence of N of them.
         arm: the body of all, as in `OctoArmEnv`; or a sequence of N bodies with one number of
             compartments.
-        control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight:
-            as in `OctoArmEnv`.
+        control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight,
+        length_noise, action_noise, delay, dropout: as in `OctoArmEnv`.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
         width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
@@ -108,6 +108,10 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         tracking_weight: float = 1.0,
         reward_width: float = 0.3,
         action_change_weight: float = 0.01,
+        length_noise: float = 0.0,
+        action_noise: float = 0.0,
+        delay: int = 0,
+        dropout: int = 0,
         render_mode: Literal["rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
@@ -128,6 +132,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         several = {"target": target, "amplitude": amplitude, "arm": arm}
         columns = (_per_env(name, value, self.num_envs) for name, value in several.items())
         others = (action_range, tracking_weight, reward_width, action_change_weight)
+        noises, counts = (length_noise, action_noise), (delay, dropout)
         known: dict[tuple[int, Any, int], EpisodeSettings] = {}
         settings = []
         for one_target, one_amplitude, body in zip(*columns, strict=True):
@@ -135,7 +140,9 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             key = (id(one_target), one_amplitude, id(body))
             if key not in known:
                 of_one = (one_target, one_amplitude, control_period, actuator)
-                known[key] = EpisodeSettings(*of_one, ArmParameters.of(body), *others)
+                known[key] = EpisodeSettings(
+                    *of_one, ArmParameters.of(body), *others, *noises, *counts
+                )
             settings.append(known[key])
         if max_episode_steps == -1:
             max_episode_steps = None

@@ -32,6 +32,8 @@ MODES = list(AutoresetMode)
 FAILING = {"arm": "inertial", "amplitude": 20.0, "control_period": 0.001}
 """Settings with which bang-bang actions take the arm out of its domain."""
 
+DISTURBED = {"length_noise": 1e-5, "action_noise": 3.0, "delay": 2, "dropout": 5}
+
 
 def native(num_envs: int, **options: Any) -> OctoArmVectorEnv:
     envs = gym.make_vec("OctoArm-v0", num_envs=num_envs, **options)
@@ -115,7 +117,13 @@ def test_conformance_of_different_environments(mode: AutoresetMode) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    "options", [{"max_episode_steps": 37}, FAILING | {"max_episode_steps": 120}], ids=str
+    "options",
+    [
+        {"max_episode_steps": 37},
+        FAILING | {"max_episode_steps": 120},
+        DISTURBED | {"max_episode_steps": 37},
+    ],
+    ids=str,
 )
 @pytest.mark.parametrize("count", [200, pytest.param(1000, marks=pytest.mark.long)])
 def test_many_steps_to_the_bit(count: int, mode: AutoresetMode, options: dict) -> None:
@@ -325,9 +333,11 @@ def test_no_autoreset_wants_a_reset() -> None:
         envs.step(np.zeros((2, 2), np.float32))
 
 
+@pytest.mark.parametrize("disturbed", [{}, DISTURBED], ids=["quiet", "disturbed"])
 @pytest.mark.parametrize("mode", MODES)
-def test_saved_batches_go_on_with_the_same_bits(mode: AutoresetMode) -> None:
+def test_saved_batches_go_on_with_the_same_bits(mode: AutoresetMode, disturbed: dict) -> None:
     options = {"max_episode_steps": 11, "target": ["lissajous"] * 9, "autoreset_mode": mode}
+    options |= disturbed
     envs = native(9, **options)
     envs.reset(seed=2)
     for _ in steps(envs, 27):
@@ -468,6 +478,10 @@ OWN = {
     "tracking_weight": 2.0,
     "reward_width": 0.1,
     "action_change_weight": 0.0,
+    "length_noise": 1e-5,
+    "action_noise": 1.0,
+    "delay": 1,
+    "dropout": 1,
     "render_mode": "rgb_array",
     "width": 32,
     "height": 32,

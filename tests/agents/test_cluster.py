@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from octoarm_agents.common.workers import Cluster, map_unordered
 from octoarm_agents.comparison import Comparison, TestPlan, compare
 from octoarm_agents.policies import load_policy
 from octoarm_agents.policies.evaluation import JUDGED_EPISODES, JUDGING_SEED, evaluate_policy
-from octoarm_agents.rl import Training
+from octoarm_agents.rl import Hyperparameters, Training
 from octoarm_agents.rl.tuning import tune_algorithm
 
 from octoarm_env import ArmParameters
@@ -382,11 +383,14 @@ def test_an_exported_network_acts_as_rllib_does(cluster: Cluster) -> None:
         algorithm.stop()
 
 
+NAMED = replace(Hyperparameters.load("ppo"), arguments={"use_sde": True})
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
         ({"algorithm": "sac"}, "algorithm = 'sac': with RLlib expected 'ppo'"),
-        ({"noise": 1e-5}, "noise = 1e-05: with RLlib expected 0.0"),
+        ({"hyperparameters": NAMED}, "further hyper-parameters = {'use_sde': True}"),
         ({"num_envs": 3}, "num_envs = 3: expected a multiple of 2"),
     ],
 )

@@ -44,9 +44,10 @@ def make(server: ServerProcess) -> Iterator[Make]:
         envs.close()
 
 
+@pytest.mark.parametrize("disturbed", [{}, {"length_noise": 1e-5, "delay": 2}], ids=str)
 @pytest.mark.parametrize("mode", MODES)
-def test_conformance(server: ServerProcess, mode: AutoresetMode) -> None:
-    options: dict[str, Any] = {"max_episode_steps": 7}
+def test_conformance(server: ServerProcess, mode: AutoresetMode, disturbed: dict[str, Any]) -> None:
+    options: dict[str, Any] = {"max_episode_steps": 7, **disturbed}
     envs = gym.make_vec(
         "OctoArmRemote-v0", num_envs=3, address=server.address, autoreset_mode=mode, **options
     )

@@ -79,8 +79,8 @@ def train(
     have computed; with more --steps it goes on for longer (docs/agents.md).
 
     With --engine rllib, --workers processes step the arms, here or on a Ray
-    cluster; a training is then alike for the same seed, not equal, and may not
-    be extended (docs/cluster.md).
+    cluster; nothing then promises the same curve for the same seed, and a
+    training may not be extended (docs/cluster.md).
     """
     if engine == "sb3" and (workers, cluster) != (None, None):
         raise typer.BadParameter("--workers and --cluster: only with --engine rllib.")

@@ -156,14 +156,14 @@ def ppo_config(training: Training, workers: int) -> PPOConfig:
     for name, value, expected in (
         ("algorithm", training.algorithm, "ppo"),
         ("policy", given.policy, "MlpPolicy"),
-        ("noise", training.noise, 0.0),
         ("further hyper-parameters", {**arguments, **kwargs}, {}),
     ):
         if value != expected:
             raise ValueError(f"{name} = {value!r}: with RLlib expected {expected!r}")
     env = {"target": training.target, **training.env}
     mean, scale = measure_scales(env, training.seed)
-    config = {**given.env, **env, "mean": mean, "scale": scale, "installed": installed()}
+    config = {**given.env, **env, "length_noise": training.noise, "installed": installed()}
+    config |= {"mean": mean, "scale": scale}
     register_env(NORMALISED, make_arms)
     return (
         PPOConfig()
@@ -204,8 +204,8 @@ def train(
     """Train an agent by PPO on Ray: the cluster that this process is connected to, or this machine.
 
     Writes ``best.npz``, ``final.npz`` and ``training.json`` as `octoarm_agents.rl.train` does, and
-    a checkpoint at every evaluation. The order in which workers answer is not RLlib's to choose, so
-    the same seed gives about the same curve, not the same bits.
+    a checkpoint at every evaluation. Workers answer when they can, so
+    nothing promises that the same seed gives the same bits.
 
     Args:
         training: what to train.

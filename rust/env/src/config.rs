@@ -34,6 +34,17 @@ pub struct EpisodeConfig {
     pub reward_width: f64,
     /// Cost of a unit of squared action change, in \[0, 1e6\]; by default 0.01.
     pub action_change_weight: f64,
+    /// Half width of white noise on every length that is seen \[m\], in \[0, 1\]; by default none. What
+    /// is seen stays within the bounds of the observation.
+    pub length_noise: f64,
+    /// Half width of white noise on the commanded angles \[degrees\], drawn every control period, in
+    /// \[0, 90\]; by default none.
+    pub action_noise: f64,
+    /// Control periods that a reading takes to the agent, at most 1000; by default none.
+    pub delay: usize,
+    /// Springs, drawn at every reset, whose rest length is seen in place of their length; by default
+    /// none.
+    pub dropout: usize,
 }
 
 impl Default for EpisodeConfig {
@@ -48,6 +59,10 @@ impl Default for EpisodeConfig {
             tracking_weight: 1.0,
             reward_width: 0.3,
             action_change_weight: 0.01,
+            length_noise: 0.0,
+            action_noise: 0.0,
+            delay: 0,
+            dropout: 0,
         }
     }
 }
@@ -57,6 +72,7 @@ const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.3;
 /// Bounds of `amplitude` and `action_range` \[degrees\].
 const ANGLE_LIMIT: f64 = 360.0;
 const MAX_CONTROL_STEPS: f64 = 10_000.0;
+const MAX_DELAY: usize = 1000;
 
 /// Settings that have been checked, with an arm of their body; shared, and never changed.
 #[derive(Clone, Debug)]
@@ -113,6 +129,8 @@ impl EpisodeConfig {
             ("reward_width", Some(self.reward_width), above(0.0, 1e3)),
             ("action_change_weight", Some(self.action_change_weight), Interval::closed(0.0, 1e6)),
             ("control_period", Some(self.control_period), above(0.0, 10.0)),
+            ("length_noise", Some(self.length_noise), Interval::closed(0.0, 1.0)),
+            ("action_noise", Some(self.action_noise), Interval::closed(0.0, 90.0)),
         ] {
             value.map_or(Ok(()), |value| range.check(value, || name.to_owned()))?;
         }
@@ -124,6 +142,14 @@ impl EpisodeConfig {
                 self.arm.timestep
             );
             return Err(ParameterError::out_of_range("control_period", self.control_period, range));
+        }
+        for (name, value, most) in
+            [("delay", self.delay, MAX_DELAY), ("dropout", self.dropout, arm.observation_len())]
+        {
+            if value > most {
+                let range = format!("[0, {most}] of whole numbers");
+                return Err(ParameterError::out_of_range(name, value, range));
+            }
         }
         if let Target::Samples(samples) = &self.target {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
@@ -187,6 +213,11 @@ mod tests {
             (r#"{"control_period": 0.0105}"#, "control_period = 0.0105"),
             (r#"{"control_period": 0.0}"#, "control_period = 0"),
             (r#"{"reward_width": 0.0}"#, "reward_width"),
+            (r#"{"length_noise": -1e-5}"#, "length_noise = -0.00001"),
+            (r#"{"action_noise": 91.0}"#, "action_noise = 91"),
+            (r#"{"delay": 1001}"#, "delay = 1001"),
+            (r#"{"delay": -1}"#, "delay"),
+            (r#"{"dropout": 81}"#, "dropout = 81"),
             (r#"{"target": [[0.0, 1.0]]}"#, "target"),
             (r#"{"target": "square"}"#, "target: "),
             (r#"{"arm": {"area_scale": "big"}}"#, "arm.area_scale: invalid type"),

@@ -92,6 +92,7 @@ impl Episode {
         let restored = self.arm.set_state(self.task.start(index));
         debug_assert!(restored.is_ok(), "{restored:?}");
         self.task.begin(index);
+        self.see();
         self.task.first_outcome(self.arm.base_degrees())
     }
 
@@ -149,7 +150,24 @@ impl Episode {
         let command = self.task.command(action);
         let steps = self.task.physics_steps();
         let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;
+        self.see();
         Ok(self.task.finish(action, self.arm.base_degrees(), failure))
+    }
+
+    /// The agent's next look at the springs.
+    fn see(&mut self) {
+        if self.task.disturbed() {
+            self.task.see(&mut self.arm.lengths());
+        }
+    }
+
+    /// What the agent sees of the spring lengths \[m\], 4 for each compartment: the lengths themselves,
+    /// unless the settings ask for noise, delay or dropout.
+    #[must_use]
+    pub fn observation(&self) -> Vec<f64> {
+        let mut lengths = self.arm.lengths();
+        self.task.show(&mut lengths);
+        lengths
     }
 
     /// Saves everything the episode needs to go on.
@@ -163,7 +181,7 @@ impl Episode {
     /// # Errors
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &EpisodeState) -> Result<(), ParameterError> {
-        state.check()?;
+        state.check(&self.task)?;
         self.arm.set_state(&state.arm)?;
         self.task.set_state(state);
         Ok(())

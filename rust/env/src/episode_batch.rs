@@ -127,9 +127,16 @@ fn begin(
     }
 }
 
-fn observe(lanes: &ArmLanes, observations: &mut [f64]) {
-    for (lane, row) in observations.chunks_exact_mut(lanes.observation_len()).enumerate() {
+/// What the agents see after a step, or, in the mask, after a reset; the others' rows stay as they were.
+fn observe(lanes: &ArmLanes, tasks: &mut [Task], observations: &mut [f64], mask: Option<&[bool]>) {
+    let rows = observations.chunks_exact_mut(lanes.observation_len());
+    for (lane, (row, task)) in rows.zip(tasks).enumerate() {
         lanes.lengths_into(lane, row);
+        if mask.is_none_or(|mask| mask[lane]) {
+            task.see(row);
+        } else {
+            task.show(row);
+        }
     }
 }
 
@@ -161,12 +168,13 @@ impl GroupStep<'_> {
             if task.stage() == Stage::Over && autoreset == Autoreset::SameStep {
                 let mut observation = vec![0.0; lanes.observation_len()];
                 lanes.lengths_into(lane, &mut observation);
+                task.see(&mut observation);
                 lasts[lane] = Some(Last { observation, outcome });
                 starts.push((lane, task.draw()));
             }
         }
         begin(lanes, tasks, outcomes, &starts);
-        observe(lanes, observations);
+        observe(lanes, tasks, observations, None);
     }
 }
 
@@ -253,6 +261,16 @@ impl EpisodeBatch {
         self.tasks[index].swing()
     }
 
+    /// What the agents see of the spring lengths \[m\], as [`crate::Episode::observation`], one arm after
+    /// the other.
+    #[must_use]
+    pub fn shown(&self) -> Vec<f64> {
+        let mut lengths = self.arms.lengths();
+        let rows = lengths.chunks_exact_mut(self.observation_len());
+        rows.zip(&self.tasks).for_each(|(row, task)| task.show(row));
+        lengths
+    }
+
     /// The last actions; after a reset, those that the swings were under.
     #[must_use]
     pub fn actions(&self) -> Vec<[f64; 2]> {
@@ -328,7 +346,7 @@ impl EpisodeBatch {
                 starts.push((lane, snapshot));
             }
             begin(lanes, tasks, outcomes, &starts);
-            observe(lanes, rows);
+            observe(lanes, tasks, rows, Some(mask));
         });
         Ok(BatchReset { observations, outcomes })
     }
@@ -420,7 +438,8 @@ impl EpisodeBatch {
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &BatchState) -> Result<(), ParameterError> {
         check_len("state.episodes", state.episodes.len(), self.len())?;
-        state.episodes.iter().try_for_each(EpisodeState::check)?;
+        let mut episodes = state.episodes.iter().zip(&self.tasks);
+        episodes.try_for_each(|(episode, task)| episode.check(task))?;
         self.arms.set_states(state.episodes.iter().map(|episode| &episode.arm))?;
         for (task, episode) in self.tasks.iter_mut().zip(&state.episodes) {
             task.set_state(episode);

@@ -13,14 +13,14 @@
 //! episode.reset();
 //! let outcome = episode.step(episode.teacher_action())?;
 //! assert!(outcome.reward > 0.9 && !outcome.terminated());
-//! assert_eq!(episode.arm().lengths().len(), 80);
+//! assert_eq!(episode.observation().len(), 80);
 //!
 //! // Twelve of them in lanes, on two threads.
 //! let mut batch = EpisodeBatch::new(&vec![config; 12], Some(500), Autoreset::NextStep, Some(2))?;
 //! let seeds: Vec<Option<u64>> = (0..12).map(Some).collect();
 //! batch.reset(None, &seeds, None)?;
 //! let step = batch.step(&batch.teacher_actions())?;
-//! assert_eq!(step.observations[..80], episode.arm().lengths());
+//! assert_eq!(step.observations[..80], episode.observation());
 //! assert_eq!(step.outcomes[0], outcome);
 //! # Ok::<(), octoarm_arm::ParameterError>(())
 //! ```
@@ -35,6 +35,7 @@ mod episode_batch;
 mod orbit;
 mod outcome;
 mod reward;
+mod senses;
 mod swing;
 mod task;
 mod teacher;
@@ -49,6 +50,7 @@ pub use episode_batch::{
 pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
 pub use reward::{Reward, RewardTerms};
+pub use senses::Senses;
 pub use swing::{Snapshot, Swing, SwingRun};
 pub use task::{EpisodeState, check_actions, check_step};
 pub use teacher::TeacherClock;

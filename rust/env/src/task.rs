@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::CheckedConfig;
 use crate::outcome::Outcome;
 use crate::reward::Reward;
+use crate::senses::Senses;
 use crate::swing::{Snapshot, Swing};
 
 /// How far an episode is.
@@ -46,6 +47,9 @@ pub struct EpisodeState {
     pub elapsed: u64,
     /// Generator that draws the phases of the next resets.
     pub generator: Pcg64,
+    /// Of the disturbances, where there are any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub senses: Option<Senses>,
 }
 
 /// Largest control instant of a saved state: every one up to it is a double.
@@ -55,7 +59,9 @@ const WIDEST: f64 = 1e9;
 
 impl EpisodeState {
     /// Checks what is not the arm's; a state may come from anywhere.
-    pub(crate) fn check(&self) -> Result<(), ParameterError> {
+    pub(crate) fn check(&self, task: &Task) -> Result<(), ParameterError> {
+        let springs = task.swing.arm.observation_len();
+        Senses::check(self.senses.as_ref(), &task.config, springs)?;
         if self.tick.unsigned_abs() > LATEST {
             let range = format!("[-{LATEST}, {LATEST}]");
             return Err(ParameterError::out_of_range("tick", self.tick, range));
@@ -84,6 +90,7 @@ pub(crate) struct Task {
     elapsed: u64,
     max_episode_steps: Option<u64>,
     generator: Pcg64,
+    senses: Option<Senses>,
 }
 
 impl Task {
@@ -116,6 +123,7 @@ impl Task {
             elapsed: 0,
             max_episode_steps,
             generator: Pcg64::seed_from_u64(0),
+            senses: Senses::of(&config),
             config,
             swing,
         })
@@ -154,6 +162,9 @@ impl Task {
 
     pub(crate) fn seed(&mut self, seed: u64) {
         self.generator = Pcg64::seed_from_u64(seed);
+        if let Some(senses) = &mut self.senses {
+            senses.seed(seed);
+        }
     }
 
     /// A snapshot at random.
@@ -182,6 +193,28 @@ impl Task {
         self.action = self.as_action(command);
         self.stage = Stage::Running;
         self.elapsed = 0;
+        if let Some(senses) = &mut self.senses {
+            senses.begin();
+        }
+    }
+
+    /// Whether anything lies between the agent and the body.
+    pub(crate) fn disturbed(&self) -> bool {
+        self.senses.is_some()
+    }
+
+    /// Turns the lengths of the springs, after a reset or a step, into what the agent sees.
+    pub(crate) fn see(&mut self, lengths: &mut [f64]) {
+        if let Some(senses) = &mut self.senses {
+            senses.see(&self.config, lengths);
+        }
+    }
+
+    /// Turns the lengths of the springs into what the agent has seen of them.
+    pub(crate) fn show(&self, lengths: &mut [f64]) {
+        if let Some(senses) = &self.senses {
+            senses.show(lengths);
+        }
     }
 
     /// The arm's state at a snapshot.
@@ -208,9 +241,13 @@ impl Task {
         self.action
     }
 
-    /// The commanded angles \[degrees\] of an action.
-    pub(crate) fn command(&self, action: [f64; 2]) -> [f64; 2] {
-        action.map(|share| share * self.action_range)
+    /// The angles \[degrees\] that the base is commanded by an action, noise included.
+    pub(crate) fn command(&mut self, action: [f64; 2]) -> [f64; 2] {
+        let command = action.map(|share| share * self.action_range);
+        match &mut self.senses {
+            None => command,
+            Some(senses) => senses.disturb(&self.config, command),
+        }
     }
 
     /// The clock goes on after a control period under `action`.
@@ -254,6 +291,7 @@ impl Task {
             over: self.stage == Stage::Over,
             elapsed: self.elapsed,
             generator: self.generator.clone(),
+            senses: self.senses.clone(),
         }
     }
 
@@ -268,6 +306,7 @@ impl Task {
         };
         self.elapsed = state.elapsed;
         self.generator = state.generator.clone();
+        self.senses.clone_from(&state.senses);
     }
 }
 

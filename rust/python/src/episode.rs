@@ -77,7 +77,7 @@ pub(crate) fn limit_cycle_signal<'py>(
 
 impl Episode {
     fn observation<'py>(&self, py: Python<'py>) -> Vector<'py> {
-        self.inner.arm().lengths().into_pyarray(py)
+        self.inner.observation().into_pyarray(py)
     }
 }
 

@@ -292,8 +292,8 @@ impl Environment {
     ) -> StepResponse {
         let mut outcomes = self.episodes.outcomes();
         let lengths = || match &self.episodes {
-            Episodes::Single(episode) => episode.arm().lengths(),
-            Episodes::Batch(batch) => batch.arms().lengths(),
+            Episodes::Single(episode) => episode.observation(),
+            Episodes::Batch(batch) => batch.shown(),
         };
         for outcome in &mut outcomes {
             outcome.truncated = state == EnvironmentStateType::Interrupted;
@@ -320,7 +320,7 @@ impl Environment {
                     (_, true) => EnvironmentStateType::Interrupted,
                     _ => EnvironmentStateType::Running,
                 };
-                let lengths = || episode.arm().lengths();
+                let lengths = || episode.observation();
                 let told = Told::new(&lengths, std::slice::from_ref(&outcome));
                 Ok(Some(response(state, wanted, specs, &told)))
             }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 use octoarm_arm::{ArmLanes, ArmParameters, read_fields};
-use octoarm_env::{Autoreset, CheckedConfig, EpisodeConfig, Swing, TargetName};
+use octoarm_env::{Autoreset, CheckedConfig, EpisodeConfig, Senses, Swing, TargetName};
 use serde_json::{Map, Value};
 
 use crate::protocol::Tensor;
@@ -124,7 +124,7 @@ const EPISODE_BYTES: usize = 1 << 10;
 pub(crate) fn memory(settings: &WorldSettings) -> usize {
     let (config, arms) = (&settings.config, settings.num_envs.unwrap_or(1));
     let groups = arms.div_ceil(ArmLanes::WIDTH);
-    let arms = arms.saturating_mul(EPISODE_BYTES);
+    let arms = arms.saturating_mul(EPISODE_BYTES.saturating_add(Senses::bytes(config)));
     let groups = groups.saturating_mul(ArmLanes::bytes(config.arm.compartments));
     Swing::bytes(config).saturating_add(groups).saturating_add(arms)
 }

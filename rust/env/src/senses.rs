@@ -1,0 +1,260 @@
+//! What lies between the agent and the body: noise, delay, springs that are not seen.
+
+use std::collections::VecDeque;
+
+use octoarm_arm::{Interval, ParameterError};
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use crate::config::EpisodeConfig;
+
+/// Sets the generator of disturbances apart from that of phases, which has the same seed.
+const APART: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// The disturbances of an episode, and the readings that are on their way to the agent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Senses {
+    generator: Pcg64,
+    /// Springs that are not seen in this episode.
+    unseen: Vec<usize>,
+    /// The last readings \[m\], the one that the agent has now first; none before the first.
+    readings: VecDeque<Vec<f64>>,
+}
+
+/// A number in [−1, 1).
+fn draw(generator: &mut Pcg64) -> f64 {
+    (generator.next_u64() >> 11) as f64 * (2.0 / (1u64 << 53) as f64) - 1.0
+}
+
+impl Senses {
+    /// Those that the settings ask for; most ask for none.
+    pub(crate) fn of(config: &EpisodeConfig) -> Option<Self> {
+        let any = config.length_noise > 0.0
+            || config.action_noise > 0.0
+            || config.delay > 0
+            || config.dropout > 0;
+        let generator = Pcg64::seed_from_u64(APART);
+        any.then(|| Self { generator, unseen: Vec::new(), readings: VecDeque::new() })
+    }
+
+    /// Memory of an episode's readings that are on their way, rounded up \[bytes\].
+    #[must_use]
+    pub fn bytes(config: &EpisodeConfig) -> usize {
+        let springs = config.arm.compartments.saturating_mul(4);
+        let reading = springs.saturating_mul(size_of::<f64>()).saturating_add(64);
+        Self::of(config).map_or(0, |_| config.delay.saturating_add(2).saturating_mul(reading))
+    }
+
+    pub(crate) fn seed(&mut self, seed: u64) {
+        self.generator = Pcg64::seed_from_u64(seed ^ APART);
+    }
+
+    /// A new episode begins: what was read before is forgotten.
+    pub(crate) fn begin(&mut self) {
+        self.readings.clear();
+    }
+
+    /// What the base is commanded \[degrees\] in place of what the agent wants.
+    pub(crate) fn disturb(&mut self, config: &EpisodeConfig, command: [f64; 2]) -> [f64; 2] {
+        if config.action_noise == 0.0 {
+            return command;
+        }
+        command.map(|angle| angle + config.action_noise * draw(&mut self.generator))
+    }
+
+    /// Takes the lengths \[m\] of all springs, and gives what the agent sees in their place. At the begin
+    /// of an episode the arm has stood for as long as a reading takes.
+    pub(crate) fn see(&mut self, config: &EpisodeConfig, lengths: &mut [f64]) {
+        let count = if self.readings.is_empty() {
+            let mut springs: Vec<usize> = (0..lengths.len()).collect();
+            self.unseen.clear();
+            for _ in 0..config.dropout.min(lengths.len()) {
+                // The high half of a 128-bit product, as where phases are drawn.
+                let product = u128::from(self.generator.next_u64()) * springs.len() as u128;
+                self.unseen.push(springs.swap_remove((product >> 64) as usize));
+            }
+            config.delay + 1
+        } else {
+            self.readings.pop_front();
+            1
+        };
+        for _ in 0..count {
+            let reading = self.reading(config, lengths);
+            self.readings.push_back(reading);
+        }
+        self.show(lengths);
+    }
+
+    fn reading(&mut self, config: &EpisodeConfig, lengths: &[f64]) -> Vec<f64> {
+        let mut reading = lengths.to_vec();
+        if config.length_noise > 0.0 {
+            let (low, high) = config.observation_bounds();
+            for length in &mut reading {
+                let noisy = *length + config.length_noise * draw(&mut self.generator);
+                *length = noisy.clamp(low, high);
+            }
+        }
+        for spring in &self.unseen {
+            reading[*spring] = config.arm.rest_length;
+        }
+        reading
+    }
+
+    /// What the agent has seen last, if it has seen anything.
+    pub(crate) fn show(&self, lengths: &mut [f64]) {
+        if let Some(reading) = self.readings.front() {
+            lengths.copy_from_slice(reading);
+        }
+    }
+
+    /// Checks what was saved of an arm with so many springs.
+    pub(crate) fn check(
+        saved: Option<&Self>,
+        config: &EpisodeConfig,
+        springs: usize,
+    ) -> Result<(), ParameterError> {
+        let refuse = |value: &str, range: &str| {
+            Err(ParameterError::out_of_range("senses", value.to_owned(), range))
+        };
+        let Some(saved) = saved else {
+            return match Self::of(config) {
+                None => Ok(()),
+                Some(_) => refuse("none", "of states with disturbances"),
+            };
+        };
+        if Self::of(config).is_none() {
+            return refuse("some", "of states without disturbances");
+        }
+        if saved.unseen.len() > springs || saved.unseen.iter().any(|spring| *spring >= springs) {
+            return refuse("springs that there are not", "of the arm's springs");
+        }
+        let count = saved.readings.len();
+        if count != 0 && count != config.delay + 1 {
+            return refuse(&format!("{count} readings"), "of one more than the delay");
+        }
+        let (low, high) = config.observation_bounds();
+        for reading in &saved.readings {
+            if reading.len() != springs {
+                return refuse(
+                    &format!("a reading of {} springs", reading.len()),
+                    "of all springs",
+                );
+            }
+            for length in reading {
+                Interval::closed(low, high)
+                    .of("m")
+                    .check(*length, || "senses.readings".to_owned())?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn senses(text: &str) -> (EpisodeConfig, Senses) {
+        let config = EpisodeConfig::from_json(text).expect("settings");
+        let mut senses = Senses::of(&config).expect("some");
+        senses.seed(1);
+        (config, senses)
+    }
+
+    #[test]
+    fn most_have_none() {
+        assert_eq!(Senses::of(&EpisodeConfig::default()), None);
+    }
+
+    #[test]
+    fn draws_fill_their_interval() {
+        let mut generator = Pcg64::seed_from_u64(0);
+        let drawn: Vec<f64> = (0..20_000).map(|_| draw(&mut generator)).collect();
+        assert!(drawn.iter().all(|value| (-1.0..1.0).contains(value)));
+        let mean = drawn.iter().sum::<f64>() / 20_000.0;
+        let square = drawn.iter().map(|value| value * value).sum::<f64>() / 20_000.0;
+        // Their standard errors are 0.004 and 0.002.
+        assert!(mean.abs() < 0.02 && (square - 1.0 / 3.0).abs() < 0.01, "{mean} {square}");
+    }
+
+    #[test]
+    fn a_reading_takes_its_time() {
+        let (config, mut senses) = senses(r#"{"delay": 2}"#);
+        for (number, seen) in [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (4.0, 2.0), (5.0, 3.0)] {
+            let mut lengths = [number * 0.01; 80];
+            senses.see(&config, &mut lengths);
+            assert_eq!(lengths, [seen * 0.01; 80]);
+            let mut again = [0.0; 80];
+            senses.show(&mut again);
+            assert_eq!(again, lengths);
+        }
+        senses.begin();
+        let mut lengths = [0.09; 80];
+        senses.see(&config, &mut lengths);
+        assert_eq!(lengths, [0.09; 80]);
+    }
+
+    #[test]
+    fn noise_and_springs_that_are_not_seen() {
+        let (config, mut senses) = senses(r#"{"length_noise": 1e-5, "dropout": 7}"#);
+        let mut before = Vec::new();
+        for _ in 0..2 {
+            senses.begin();
+            for _ in 0..3 {
+                let mut lengths = [0.021; 80];
+                senses.see(&config, &mut lengths);
+                let unseen: Vec<usize> =
+                    (0..80).filter(|spring| lengths[*spring] == config.arm.rest_length).collect();
+                assert_eq!(unseen.len(), 7);
+                let mut named = senses.unseen.clone();
+                named.sort_unstable();
+                assert_eq!(unseen, named);
+                let off = |length: &f64| (length - 0.021).abs();
+                let noisy: Vec<f64> = lengths.iter().map(off).filter(|off| *off < 5e-4).collect();
+                assert_eq!(noisy.len(), 73);
+                assert!(
+                    noisy.iter().all(|off| *off <= 1e-5) && noisy.iter().any(|off| *off > 8e-6)
+                );
+            }
+            assert_ne!(senses.unseen, before);
+            before.clone_from(&senses.unseen);
+        }
+    }
+
+    #[test]
+    fn commands_are_disturbed_by_so_much() {
+        let (config, mut senses) = senses(r#"{"action_noise": 5.0}"#);
+        let off: Vec<f64> =
+            (0..1000).flat_map(|_| senses.disturb(&config, [30.0, -30.0])).collect();
+        assert!(off.iter().all(|angle| (angle.abs() - 30.0).abs() <= 5.0));
+        assert!(off.iter().any(|angle| angle.abs() > 34.9));
+    }
+
+    #[test]
+    fn states_that_do_not_fit_are_refused() {
+        let (config, mut senses) = senses(r#"{"delay": 1}"#);
+        let plain = EpisodeConfig::default();
+        let check = |saved: Option<&Senses>, config: &EpisodeConfig| {
+            Senses::check(saved, config, 80).map_err(|error| error.to_string())
+        };
+        assert_eq!(check(Some(&senses), &config), Ok(()));
+        senses.see(&config, &mut [0.02; 80]);
+        assert_eq!(check(Some(&senses), &config), Ok(()));
+        assert_eq!(check(None, &plain), Ok(()));
+        assert!(check(None, &config).is_err());
+        assert!(check(Some(&senses), &plain).is_err());
+        for change in [
+            (|senses| senses.unseen.push(80)) as fn(&mut Senses),
+            |senses| senses.readings[0].push(0.02),
+            |senses| senses.readings[0][3] = f64::NAN,
+            |senses| senses.readings[1][3] = 7.0,
+            |senses| drop(senses.readings.pop_front()),
+        ] {
+            let mut bad = senses.clone();
+            change(&mut bad);
+            assert!(check(Some(&bad), &config).expect_err("bad").contains("senses"));
+        }
+    }
+}
