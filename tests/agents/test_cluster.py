@@ -359,6 +359,9 @@ def test_rllib_trains_and_goes_on(
     assert octoarm(*command, "--resume").exit_code == 0
     training = json.loads((tmp_path / "training.json").read_text("utf-8"))
     assert [point["steps"] for point in training["curve"]] == [1024, 2048]
+    best = (tmp_path / "best.npz").read_bytes()
+    assert octoarm(*command, "--resume").exit_code == 0
+    assert (tmp_path / "best.npz").read_bytes() == best
     for name, point in (("best", training["best"]), ("final", training["final"])):
         policy = load_policy(tmp_path / f"{name}.npz")
         returns = evaluate_policy(policy, policy, episodes=JUDGED_EPISODES, seed=JUDGING_SEED)

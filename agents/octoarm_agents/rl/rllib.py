@@ -7,6 +7,7 @@ that are measured before the training: all workers agree on them, and they are p
 
 from __future__ import annotations
 
+import json
 import pickle
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -204,14 +205,15 @@ def train(
     """Train an agent by PPO on Ray: the cluster that this process is connected to, or this machine.
 
     Writes ``best.npz``, ``final.npz`` and ``training.json`` as `octoarm_agents.rl.train` does, and
-    a checkpoint at every evaluation. Workers answer when they can, so
-    nothing promises that the same seed gives the same bits.
+    a checkpoint at every evaluation but the last. Workers answer when they can, so nothing promises
+    that the same seed gives the same bits.
 
     Args:
         training: what to train.
         out: folder; made if it is not there.
         workers: as of `ppo_config`.
-        resume: go on from the last checkpoint in `out`; begin where there is none.
+        resume: go on from the last checkpoint in `out`; begin where there is none. A training that
+            is finished is not trained again.
         progress: called after every iteration with the steps done and the last evaluated return.
         command: what was typed, to be kept in the files.
 
@@ -233,6 +235,10 @@ def train(
             )
         saved = pickle.loads(checkpoint.read_bytes())
         check_same(checkpoint, saved["training"], training.plain())
+        if (out / "training.json").exists():
+            # It has been trained to its end.
+            summary: dict[str, Any] = json.loads((out / "training.json").read_text("utf-8"))
+            return summary
     config = ppo_config(training, workers)
     started = not ray.is_initialized()
     if started:

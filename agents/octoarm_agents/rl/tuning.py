@@ -149,9 +149,10 @@ def tune_algorithm(
 
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    storage = optuna.storages.RDBStorage(f"sqlite:///{out / 'study.db'}")
     study = optuna.create_study(
         study_name=f"{algorithm} {steps} {seed}",
-        storage=f"sqlite:///{out / 'study.db'}",
+        storage=storage,
         sampler=optuna.samplers.TPESampler(
             seed=seed, multivariate=True, n_startup_trials=5, constant_liar=cluster is not None
         ),
@@ -180,7 +181,7 @@ def tune_algorithm(
     elif cluster is None:
         _search_here(study, draw, means, left, seconds, tell)
     else:
-        _search_on_cluster(study, draw, means, left, seconds, tell, cluster.jobs)
+        _search_on_cluster(study, storage, draw, means, left, seconds, tell, cluster.jobs)
     rows = _rows(study)
     best = _best(rows)
     entries = sample(optuna.trial.FixedTrial(best["parameters"]), algorithm, start).entries()
@@ -243,6 +244,7 @@ def _search_here(
 
 def _search_on_cluster(
     study: Any,
+    storage: Any,
     draw: Callable[[Any], object],
     means: Means,
     trials: int | None,
@@ -291,10 +293,10 @@ def _search_on_cluster(
         mode="max",
         sampler=study.sampler,
         study_name=study.study_name,
-        storage=study._storage,
+        storage=storage,
     )
     with tempfile.TemporaryDirectory() as folder:
-        tune.Tuner(
+        results = tune.Tuner(
             tune.with_resources(trial, {"cpu": 1}),
             tune_config=tune.TuneConfig(
                 search_alg=search,
@@ -314,6 +316,8 @@ def _search_on_cluster(
                 failure_config=tune.FailureConfig(max_failures=3),
             ),
         ).fit()
+    if results.errors:
+        raise results.errors[0]
 
 
 def _rows(study: Any) -> list[dict[str, Any]]:
