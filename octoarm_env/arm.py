@@ -68,7 +68,7 @@ class ArmState:
 
     def _arrays(self) -> tuple[Float, Float, Float, Float, Float]:
         none = np.zeros((len(self.coordinates), 4))
-        muscles = (none, none) if self.muscles is None else _pair("state.muscles", self.muscles)
+        muscles = (none, none) if self.muscles is None else pair("state.muscles", self.muscles)
         return self.coordinates, self.rates, self.base, *muscles
 
 
@@ -81,7 +81,8 @@ def core_state(name: str, state: Any) -> tuple[Float, Float, Float, int, tuple[F
     return coordinates, rates, base, steps, (longitudinal, transverse)
 
 
-def _pair(name: str, inputs: Any) -> tuple[Any, Any]:
+def pair(name: str, inputs: Any) -> tuple[Any, Any]:
+    """Take the muscle inputs (ξ_c, δ_c) apart."""
     try:
         longitudinal, transverse = inputs
     except (TypeError, ValueError):
@@ -255,7 +256,7 @@ class Arm:
 
     @muscles.setter
     def muscles(self, inputs: tuple[ArrayLike, ArrayLike]) -> None:
-        self._core.set_muscles(*_pair("muscles", inputs))
+        self._core.set_muscles(*pair("muscles", inputs))
 
     def energy(self) -> Energy:
         """Kinetic energy of all masses (world frame) and elastic energy of all springs [J]."""

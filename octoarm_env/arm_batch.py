@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env import _core
 from octoarm_env.arguments import thread_count, whole_number
-from octoarm_env.arm import Arm, ArmState, core_state
+from octoarm_env.arm import Arm, ArmState, core_state, pair
 from octoarm_env.arrays import Float
 
 
@@ -73,6 +73,18 @@ class ArmBatch:
         self._core.set_states(
             [core_state(f"states[{index}]", state) for index, state in enumerate(states)]
         )
+
+    @property
+    def muscles(self) -> tuple[Float, Float]:
+        """Muscle inputs (ξ_c, δ_c) of all arms, each (N, n, 4) [N], as those of an `Arm`.
+
+        They act until changed; what a run of many steps needs differently is set between runs.
+        """
+        return self._core.get_muscles()
+
+    @muscles.setter
+    def muscles(self, inputs: tuple[ArrayLike, ArrayLike]) -> None:
+        self._core.set_muscles(*pair("muscles", inputs))
 
     def run(self, angles: ArrayLike, *, stride: int = 1) -> BatchRun:
         """Follow sequences of commands, one a physics step.

@@ -127,6 +127,35 @@ def test_states() -> None:
         batch.states = [1, 2, 3]  # type: ignore[list-item]
 
 
+def test_muscles_are_those_of_every_arm_alone() -> None:
+    arms, rng = [Arm() for _ in range(11)], np.random.default_rng(0)
+    batch = ArmBatch(arms)
+    assert not np.any(batch.muscles)
+    for _ in range(2):
+        inputs = rng.uniform(-0.05, 0.05, (2, 11, 20, 4))
+        batch.muscles = inputs
+        assert np.array_equal(batch.muscles, inputs)
+        lengths = batch.run(np.zeros((30, 2))).lengths
+        for index, arm in enumerate(arms):
+            arm.muscles = inputs[:, index]
+            assert np.array_equal(arm.run(np.zeros((30, 2))), lengths[index])
+    before = batch.muscles
+    holed = inputs.copy()
+    holed[1, 8, 3, 2] = np.nan
+    for bad, kind, words in (
+        (holed, ValueError, r"transverse\[8, 3, 2\] = NaN"),
+        (
+            inputs[:, :10],
+            ValueError,
+            r"longitudinal has shape \(10, 20, 4\), expected \(11, 20, 4\)",
+        ),
+        (inputs[0], TypeError, "muscles must be a pair"),
+    ):
+        with pytest.raises(kind, match=words):
+            batch.muscles = bad
+        assert np.array_equal(batch.muscles, before)
+
+
 def test_bad_input_is_named() -> None:
     with pytest.raises(ValueError, match="arms = 0"):
         ArmBatch([])

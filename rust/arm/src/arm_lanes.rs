@@ -130,6 +130,19 @@ impl ArmLanes {
         of!(&mut self.lanes, lanes => lanes.restore_many(states));
     }
 
+    /// Sets an arm's muscle inputs ξ_c and δ_c \[N\], as [`Arm::set_muscles`].
+    ///
+    /// # Errors
+    /// As [`Arm::set_muscles`]; the arm is then unchanged.
+    pub fn set_muscles(
+        &mut self,
+        lane: usize,
+        longitudinal: &[f64],
+        transverse: &[f64],
+    ) -> Result<(), ParameterError> {
+        of!(&mut self.lanes, lanes => lanes.set_muscles(lane, longitudinal, transverse))
+    }
+
     /// An arm's muscle inputs ξ_c and δ_c \[N\], in observation order.
     #[must_use]
     pub fn muscles(&self, lane: usize) -> (Vec<f64>, Vec<f64>) {

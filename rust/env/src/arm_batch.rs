@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use octoarm_arm::{
-    Arm, ArmLanes, ArmState, DomainError, LinearReadout, ParameterError, memory, poll,
+    Arm, ArmLanes, ArmState, DomainError, LinearReadout, ParameterError, check_finite, memory, poll,
 };
 
 use crate::workers::Workers;
@@ -156,6 +156,42 @@ impl ArmBatch {
                 }
                 return Err(error);
             }
+        }
+        Ok(())
+    }
+
+    /// The muscle inputs ξ_c and δ_c \[N\] of all arms, each in observation order.
+    #[must_use]
+    pub fn muscles(&self) -> (Vec<f64>, Vec<f64>) {
+        let all = (0..self.count).map(|arm| self.groups[arm / WIDTH].muscles(arm % WIDTH));
+        let (longitudinal, transverse): (Vec<_>, Vec<_>) = all.unzip();
+        (longitudinal.concat(), transverse.concat())
+    }
+
+    /// Sets the muscle inputs ξ_c and δ_c \[N\] of all arms, as [`Arm::set_muscles`] does of one; they act
+    /// until changed.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for slices of another length or numbers that are not finite; no arm is changed
+    /// then.
+    pub fn set_muscles(
+        &mut self,
+        longitudinal: &[f64],
+        transverse: &[f64],
+    ) -> Result<(), ParameterError> {
+        let width = self.observation_len();
+        for (name, values) in [("longitudinal", longitudinal), ("transverse", transverse)] {
+            check_len(name, values.len(), self.count * width)?;
+            for (index, value) in values.iter().enumerate() {
+                check_finite(*value, || {
+                    let (arm, spring) = (index / width, index % width);
+                    format!("{name}[{arm}, {}, {}]", spring / 4, spring % 4)
+                })?;
+            }
+        }
+        let rows = longitudinal.chunks_exact(width).zip(transverse.chunks_exact(width));
+        for (arm, (longitudinal, transverse)) in rows.enumerate() {
+            self.groups[arm / WIDTH].set_muscles(arm % WIDTH, longitudinal, transverse)?;
         }
         Ok(())
     }

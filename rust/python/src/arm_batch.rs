@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyList;
 
 use crate::arm::{Arm, GivenState, State, block, state_from, state_of};
-use crate::arrays::{Table, pairs_of, shaped, table};
+use crate::arrays::{Table, numbers, pairs_of, shaped, table};
 use crate::errors::{invalid, left_domain};
 
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
@@ -190,6 +190,24 @@ impl ArmBatch {
         })?;
         let outputs = self.cube(py, outputs.into_flattened(), 2)?;
         Ok((outputs, self.cube(py, lengths, width)?, ends(py, &stops, steps)?))
+    }
+
+    fn get_muscles<'py>(&self, py: Python<'py>) -> PyResult<(Cube<'py>, Cube<'py>)> {
+        let shape = [self.inner.len(), self.inner.observation_len() / 4, 4];
+        let (longitudinal, transverse) = self.inner.muscles();
+        let cube = |flat: Vec<f64>| flat.into_pyarray(py).reshape(shape);
+        Ok((cube(longitudinal)?, cube(transverse)?))
+    }
+
+    fn set_muscles(
+        &mut self,
+        longitudinal: &Bound<'_, PyAny>,
+        transverse: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let shape = [Some(self.inner.len()), Some(self.inner.observation_len() / 4), Some(4)];
+        let (longitudinal, _) = numbers("longitudinal", longitudinal, &shape)?;
+        let (transverse, _) = numbers("transverse", transverse, &shape)?;
+        self.inner.set_muscles(&longitudinal, &transverse).map_err(invalid)
     }
 
     fn get_states<'py>(&self, py: Python<'py>) -> PyResult<Vec<State<'py>>> {
