@@ -43,7 +43,7 @@ nb_merge_streams = True
 # Every name that is meant as a link must be one, but for those of other packages, aliases of types,
 # and what is not for users.
 nitpicky = True
-OTHERS = "(_core|collections|gymnasium|np|numpy|os|pathlib|sklearn|stable_baselines3)"
+OTHERS = "(_core|collections|gymnasium|minari|np|numpy|os|pathlib|sklearn|stable_baselines3)"
 ALIASES = ("ArrayLike", "BodyLike", "Env", "Float", "Float32", "Integer", "NDArray")
 OTHER_ALIASES = ("Flags", "Frame", "Numbers", "Path", "State")
 INTERNAL = r"(.*\.)?(BatchHistory|Cluster|MadeOnce|Past|Renderer|StateBasis|T)"

@@ -23,7 +23,10 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 USED_BY_OTHERS = {
     "pygame-ce": "octoarm_env draws with it",
     "tensorboard": "stable-baselines3 writes its logs with it",
-}
+} | dict.fromkeys(
+    ("dm-tree", "fsspec", "lz4", "ormsgpack", "pandas", "pyarrow", "requests"),
+    "RLlib and Ray Tune want it",
+)
 
 
 def plain(distribution: str) -> str:

@@ -14,6 +14,7 @@ from octoarm_agents.cli import (
     benchmark,
     calibrate,
     compare,
+    dataset,
     demo,
     evaluate,
     record,
@@ -34,7 +35,7 @@ app = typer.Typer(
 )
 
 for panel, commands in (
-    ("Learn", (train.train, tune.tune, evaluate.evaluate, compare.compare)),
+    ("Learn", (train.train, tune.tune, evaluate.evaluate, compare.compare, dataset.dataset)),
     ("See", (watch.watch, record.record)),
     ("The body", (demo.demo, reproduce.reproduce)),
     ("Serve and time", (benchmark.benchmark,)),

@@ -54,10 +54,10 @@ def find_policy(name: str, arm: Path | None) -> NamedPolicy:
     """
     from octoarm_agents.common.environment import ENV_ID, TARGETS, inspect_env
     from octoarm_agents.policies import load_policy, trained_agents
-    from octoarm_agents.policies.evaluation import TRIVIAL
+    from octoarm_agents.policies.evaluation import NAMED
 
     trained = {"/".join(key): file for key, file in trained_agents().items()}
-    trivial = {f"{kind}/{target}": (kind, target) for kind in TRIVIAL for target in TARGETS}
+    trivial = {f"{kind}/{target}": (kind, target) for kind in NAMED for target in TARGETS}
     file = Path(name)
     if name in trivial and not file.exists():
         import gymnasium as gym

@@ -88,7 +88,7 @@ def train(
         from octoarm_agents.rl import Hyperparameters, Training
         from octoarm_agents.rl import train as run
     if engine == "rllib":
-        with need_extra("rllib"):
+        with need_extra("ray,rllib"):
             from octoarm_agents.rl import rllib
         if cluster is not None:
             workers_of(None, cluster)

@@ -63,7 +63,7 @@ def tune(
         shown = "given up" if trial["pruned"] else f"{trial['value']:.1f} of 500"
         typer.echo(f"trial {trial['number']}: {shown}; best {best:.1f}")
 
-    with refused():
+    with refused(), need_extra("ray,rllib"):
         result = tune_algorithm(
             algorithm,
             folder,

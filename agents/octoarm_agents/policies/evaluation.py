@@ -9,7 +9,14 @@ import gymnasium as gym
 from octoarm_agents.common.environment import make_vector_env
 from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.measures import TargetOrbit, orbit_measures, tracking_measures
-from octoarm_agents.policies.rollout import HoldPolicy, Noise, PolicyPredictor, Push, roll_out
+from octoarm_agents.policies.rollout import (
+    HoldPolicy,
+    Noise,
+    PolicyPredictor,
+    Push,
+    RandomPolicy,
+    roll_out,
+)
 from octoarm_env import ArmParameters, OctoArmVectorEnv, TeacherPolicy
 
 JUDGING_SEED = 20_000
@@ -19,11 +26,14 @@ compared on."""
 JUDGED_EPISODES = 16
 """Episodes of each such evaluation."""
 
-Trivial = Literal["hold", "clock"]
-"""Agents by name: the base held still, and the clock that knows the target."""
+Trivial = Literal["hold", "clock", "random"]
+"""Agents by name: the base held still, the clock that knows the target, and random actions."""
 
-TRIVIAL: tuple[Trivial, ...] = get_args(Trivial)
+NAMED: tuple[Trivial, ...] = get_args(Trivial)
 """All of these."""
+
+TRIVIAL: tuple[Trivial, ...] = ("hold", "clock")
+"""Those that stand beside every other agent."""
 
 
 class Home(Protocol):
@@ -39,9 +49,16 @@ class Home(Protocol):
 
 
 def acting(
-    policy: PolicyPredictor | Trivial, envs: OctoArmVectorEnv | gym.Env[Any, Any]
+    policy: PolicyPredictor | Trivial,
+    envs: OctoArmVectorEnv | gym.Env[Any, Any],
+    seed: int = 0,
 ) -> PolicyPredictor:
     """Give the agent itself, or one of the trivial ones by name.
+
+    Args:
+        policy: the agent, or its name.
+        envs: where it is to act.
+        seed: of the random actions.
 
     Raises:
         ValueError: an unknown name.
@@ -52,7 +69,10 @@ def acting(
         return HoldPolicy()
     if policy == "clock":
         return TeacherPolicy(envs)
-    raise ValueError(f"policy = {policy!r}: expected 'hold', 'clock' or an agent")
+    if policy == "random":
+        return RandomPolicy(seed)
+    names = ", ".join(map(repr, NAMED))
+    raise ValueError(f"policy = {policy!r}: expected {names} or an agent")
 
 
 def evaluate_policy(
@@ -70,7 +90,7 @@ def evaluate_policy(
     """Let an agent act.
 
     Args:
-        policy: the agent, or ``"hold"`` or ``"clock"``.
+        policy: the agent, or ``"hold"``, ``"clock"`` or ``"random"``.
         home: whose body and environment are used; mostly `policy` itself.
         episodes: side by side.
         steps: of each.
@@ -90,7 +110,7 @@ def evaluate_policy(
     envs = make_vector_env(episodes, home.parameters, home.settings, steps=steps, threads=threads)
     try:
         rollout = roll_out(
-            acting(policy, envs), envs, seed=seed, steps=steps, push=push, noise=noise
+            acting(policy, envs, seed), envs, seed=seed, steps=steps, push=push, noise=noise
         )
         orbit = orbit_measures(
             rollout, TargetOrbit.of(envs), steps // 2 if window is None else window

@@ -46,6 +46,30 @@ class HoldPolicy:
         return np.full((*np.shape(observation)[:-1], 2), self.held, np.float32), state
 
 
+class RandomPolicy:
+    """Draws every action anew, from all that are allowed alike.
+
+    Args:
+        seed: of what is drawn.
+    """
+
+    def __init__(self, seed: int) -> None:
+        # Not the generator of pushes and noise, which begins with the bare seed.
+        self._random = np.random.default_rng([seed, 1])
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Draw an action, (2,) or (n, 2)."""
+        del episode_start, deterministic
+        actions = self._random.uniform(-1, 1, (*np.shape(observation)[:-1], 2))
+        return actions.astype(np.float32), state
+
+
 @dataclass(frozen=True)
 class Push:
     """Somebody leans on the base: for a while its command is another one than the policy's.

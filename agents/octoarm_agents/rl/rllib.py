@@ -30,7 +30,7 @@ try:
     from ray.tune.registry import register_env
 except ImportError as error:
     raise ImportError(
-        f'{error}. RLlib needs more packages: pip install "octoarm-agents[rllib]"'
+        f'{error}. RLlib needs more packages: pip install "octoarm-agents[ray,rllib]"'
     ) from error
 
 

@@ -56,7 +56,7 @@ class Episode(Episodes):
         (self.settings,), self.title = envs.settings, title
         self.control_period = self.settings.control_period
         super().__init__(
-            acting(policy, envs),
+            acting(policy, envs, seed),
             envs,
             seed=seed,
             steps=steps,
