@@ -136,6 +136,26 @@ def test_a_table_grows_from_the_results_alone(
     assert {each["agent"] for each in listed["agents"]} <= {"readout_pinv"}
 
 
+def test_a_table_of_what_is_kept_alone(
+    comparison: Comparison, folder: Path, result: dict[str, Any], tmp_path: Path
+) -> None:
+    kept = replace(comparison, kept=True)
+    with pytest.raises(ValueError, match="results holds nothing of this comparison"):
+        compare(kept, tmp_path, progress=False)
+    shutil.copytree(folder / "results", tmp_path / "results")
+    for name in ("readout_pinv-quadratic-1", "ppo-quadratic-0", "ppo-quadratic-1"):
+        (tmp_path / "results" / f"{name}.json").unlink()
+    table = compare(kept, tmp_path, progress=False)
+    assert not (tmp_path / "runs").exists()
+    assert table["command"].endswith(" --kept")
+    rows = {row["agent"]: row for row in table["rows"]}
+    assert rows.keys() == {*comparison.agents} - {"ppo"}
+    assert rows["readout_pinv"]["training_seeds"] == 1
+    assert rows["linear_search"]["training_seeds"] == 2
+    whole = next(row for row in result["rows"] if row["agent"] == "readout_pinv")
+    assert rows["readout_pinv"]["return"]["iqm"] == whole["return"]["values"][0]
+
+
 def test_shipped_agents_are_the_best_ones(
     comparison: Comparison, folder: Path, result: dict[str, Any]
 ) -> None:

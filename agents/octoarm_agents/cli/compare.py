@@ -43,6 +43,10 @@ def compare(
     amplitude: Amplitude = None,
     arm: Body = None,
     actuator: Actuator = "direct",
+    kept: Annotated[
+        bool,
+        typer.Option("--kept", help="Of what is in OUT/results alone: train nothing."),
+    ] = False,
     jobs: Jobs = None,
     cluster: ClusterAddress = None,
 ) -> None:
@@ -80,6 +84,7 @@ def compare(
             budget=budget,
             plan=TestPlan(seed=seed, episodes=episodes),
             jobs=workers_of(jobs, cluster),
+            kept=kept,
             env=env,
         )
         result = run(comparison, out)

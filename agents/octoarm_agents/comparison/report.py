@@ -15,8 +15,8 @@ def write_report(result: Mapping[str, Any]) -> str:
     lines = [
         "# Comparison of agents",
         "",
-        f"Made by `{result['command']}`. Interquartile means over {settings['seeds']} trainings "
-        "with 95 % bootstrap intervals; every training is measured over "
+        f"Made by `{result['command']}`. Interquartile means over the trainings, with "
+        "95 % bootstrap intervals; every training is measured over "
         f"{plan['episodes']} episodes with seeds from {plan['seed']} on, which none was "
         "trained or chosen on. `hold` and `clock` are not trained, and so have no interval. "
         "Distances from the orbit are in amplitudes, periods in periods of the target; ∞ stands "
@@ -82,6 +82,7 @@ def _undisturbed(row: Row, share: float) -> dict[str, str]:
     reached = row["samples_to_reach"]
     return {
         "agent": row["agent"],
+        "trainings": f"{row['training_seeds'] or '-'}",
         "return of 500": _interval(row["return"], 1),
         "error (°)": _interval(row["tracking_error"], 3),
         "orbit distance": _interval(row["orbit_distance"], 4),

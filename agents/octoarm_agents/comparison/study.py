@@ -56,6 +56,8 @@ class Comparison:
         budget: factor of all trainings' environment steps.
         plan: how much is measured.
         jobs: processes, or a cluster; only timings depend on it.
+        kept: compare what is kept from earlier calls alone, and train nothing: every agent that
+            has a training on each target, however many.
         env: further arguments of the environment, as they read in JSON.
     """
 
@@ -65,6 +67,7 @@ class Comparison:
     budget: float = 1.0
     plan: TestPlan = field(default_factory=TestPlan)
     jobs: Jobs = 1
+    kept: bool = False
     env: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -97,6 +100,7 @@ class Comparison:
             for name, value in (given | self.env).items()
             if name == "seeds" or value != usual.get(name)
         ]
+        words += ["--kept"] * self.kept
         return " ".join(["octoarm compare", *words])
 
 
@@ -117,7 +121,8 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
         What ``compare.json`` holds.
 
     Raises:
-        ValueError: the folder holds another comparison's trainings.
+        ValueError: the folder holds another comparison's trainings, or, where only these are
+            wanted, none.
     """
     settings = {
         target: inspect_env(OctoArmEnv(target, **comparison.env))[1]
@@ -132,6 +137,15 @@ def compare(comparison: Comparison, out: Path, *, progress: bool | None = None) 
         for agent in AGENTS
         if agent in comparison.agents
     ]
+    if comparison.kept:
+        lacking = {runs[0].agent for runs in groups if not any(_file(run).exists() for run in runs)}
+        groups = [
+            [run for run in runs if _file(run).exists()]
+            for runs in groups
+            if runs[0].agent not in lacking
+        ]
+        if not groups:
+            raise ValueError(f"kept = True: {out / 'results'} holds nothing of this comparison")
     results = _results([run for runs in groups for run in runs], comparison, progress)
     outcomes = [
         Outcome(
@@ -175,7 +189,7 @@ def undisturbed(result: dict[str, Any]) -> dict[str, Any]:
             if isinstance(entry, dict)
             else entry
             for name, entry in row.items()
-            if name not in (*lists, "training_seeds")
+            if name not in lists
         }
         for row in result["rows"]
     ]
