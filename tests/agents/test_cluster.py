@@ -362,6 +362,10 @@ def test_rllib_trains_and_goes_on(
     best = (tmp_path / "best.npz").read_bytes()
     assert octoarm(*command, "--resume").exit_code == 0
     assert (tmp_path / "best.npz").read_bytes() == best
+    (tmp_path / "rllib_checkpoint.pkl").write_bytes(b"rubbish")
+    damaged = octoarm(*command, "--resume")
+    assert damaged.exit_code == 2
+    assert "is damaged" in damaged.output
     for name, point in (("best", training["best"]), ("final", training["final"])):
         policy = load_policy(tmp_path / f"{name}.npz")
         returns = evaluate_policy(policy, policy, episodes=JUDGED_EPISODES, seed=JUDGING_SEED)

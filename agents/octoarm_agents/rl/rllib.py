@@ -117,6 +117,9 @@ class _Module(DefaultPPOTorchRLModule):  # type: ignore[misc]
 def ppo_config(training: Training, workers: int) -> PPOConfig:
     """RLlib's configuration of a training, to be built, or changed first.
 
+    What the hyper-parameters say of `VecNormalize` does not count: lengths are scaled by
+    `measure_scales`, rewards are left as they are.
+
     Args:
         training: of "ppo", whose arms the workers share equally.
         workers: processes that step arms; 0: the process that learns steps them too.
@@ -158,6 +161,7 @@ def ppo_config(training: Training, workers: int) -> PPOConfig:
         ("algorithm", training.algorithm, "ppo"),
         ("policy", given.policy, "MlpPolicy"),
         ("further hyper-parameters", {**arguments, **kwargs}, {}),
+        ("schedules", [key for key, each in learning.items() if isinstance(each, str)], []),
     ):
         if value != expected:
             raise ValueError(f"{name} = {value!r}: with RLlib expected {expected!r}")
@@ -205,7 +209,7 @@ def train(
     """Train an agent by PPO on Ray: the cluster that this process is connected to, or this machine.
 
     Writes ``best.npz``, ``final.npz`` and ``training.json`` as `octoarm_agents.rl.train` does, and
-    a checkpoint at every evaluation but the last. Workers answer when they can, so nothing promises
+    a checkpoint at every evaluation. Workers answer when they can, so nothing promises
     that the same seed gives the same bits.
 
     Args:
@@ -233,7 +237,10 @@ def train(
             raise ValueError(
                 f"{out} holds a training: resume it (--resume), or choose another folder"
             )
-        saved = pickle.loads(checkpoint.read_bytes())
+        try:
+            saved = pickle.loads(checkpoint.read_bytes())
+        except Exception as error:
+            raise ValueError(f"{checkpoint} is damaged: {error}") from None
         check_same(checkpoint, saved["training"], training.plain())
         if (out / "training.json").exists():
             # It has been trained to its end.
@@ -264,7 +271,9 @@ def train(
                 break
             steps = int(algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"])
         policy = judge.judge(export_network(algorithm), steps)
-        return judge.finish(policy, ("ray", "torch"), engine="rllib", workers=workers)
+        made = judge.finish(policy, ("ray", "torch"), engine="rllib", workers=workers)
+        _save(checkpoint, judge, steps, algorithm)
+        return made
     finally:
         if algorithm is not None:
             algorithm.stop()
