@@ -237,11 +237,7 @@ def train(
             raise ValueError(
                 f"{out} holds a training: resume it (--resume), or choose another folder"
             )
-        try:
-            saved = pickle.loads(checkpoint.read_bytes())
-        except Exception as error:
-            raise ValueError(f"{checkpoint} is damaged: {error}") from None
-        check_same(checkpoint, saved["training"], training.plain())
+        saved = _load(checkpoint, training)
         if (out / "training.json").exists():
             # It has been trained to its end.
             summary: dict[str, Any] = json.loads((out / "training.json").read_text("utf-8"))
@@ -279,6 +275,16 @@ def train(
             algorithm.stop()
         if started:
             ray.shutdown()
+
+
+def _load(file: Path, training: Training) -> dict[str, Any]:
+    """What `_save` wrote of this training."""
+    try:
+        saved: dict[str, Any] = pickle.loads(file.read_bytes())
+    except Exception as error:
+        raise ValueError(f"{file} is damaged: {error}") from None
+    check_same(file, saved["training"], training.plain())
+    return saved
 
 
 def _save(file: Path, judge: Judge, steps: int, algorithm: Algorithm) -> None:
