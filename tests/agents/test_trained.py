@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from octoarm_agents.common.environment import TARGETS
-from octoarm_agents.comparison.agents import NETWORKS, READOUTS
+from octoarm_agents.comparison.agents import TRAINED
 from octoarm_agents.policies import load_policy, load_trained, trained_agents
 from octoarm_agents.policies.evaluation import evaluate_policy
 from octoarm_agents.policies.loading import TRAINED_FOLDER
@@ -20,7 +20,7 @@ AGENTS: list[dict[str, Any]] = LISTED["agents"]
 
 
 def test_all_are_there() -> None:
-    expected = set(itertools.product((*READOUTS, *NETWORKS), TARGETS))
+    expected = set(itertools.product(TRAINED, TARGETS))
     assert set(trained_agents()) == expected
     assert {(each["agent"], each["target"]) for each in AGENTS} == expected
     assert max(path.stat().st_size for path in trained_agents().values()) < 300_000
