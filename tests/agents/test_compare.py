@@ -13,7 +13,7 @@ import numpy as np
 import octoarm_agents.comparison
 import pytest
 from octoarm_agents.common.intervals import bootstrap_interval, interquartile_mean
-from octoarm_agents.comparison import AGENTS, Comparison, TestPlan, compare, draw_all
+from octoarm_agents.comparison import AGENTS, Comparison, TestPlan, compare, draw_all, pictures
 from octoarm_agents.comparison.agents import NETWORKS, READOUTS, TrainingRun, make_agent
 from octoarm_agents.comparison.linear_search import LinearSearch, search_linear
 from octoarm_agents.comparison.measuring import BODIES, NOISES, PUSHES, changed_body, measure_agent
@@ -178,6 +178,17 @@ def test_report_and_figures(comparison: Comparison, folder: Path, result: dict[s
     draw_all(result, folder)
     for name in ("learning_curves", "returns", "robustness", "phase_portraits"):
         assert (folder / f"{name}.png").stat().st_size > 10_000
+
+
+def test_every_portrait_has_its_own_target_s_angles(result: dict[str, Any]) -> None:
+    amplitudes = {"quadratic": 90.0, "lissajous": 10.0}
+    figure = pictures._draw_portraits(
+        dict.fromkeys(amplitudes, result["rows"]),
+        {target: {"amplitude": amplitude} for target, amplitude in amplitudes.items()},
+    )
+    limits = [axes.get_xlim()[1] for axes in figure.axes if axes.get_visible()]
+    count = len(result["rows"])
+    assert limits == pytest.approx([1.3 * 90.0] * count + [1.3 * 10.0] * count)
 
 
 def test_another_comparison_is_refused(comparison: Comparison, folder: Path) -> None:

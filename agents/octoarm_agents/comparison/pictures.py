@@ -162,6 +162,10 @@ def _draw_robustness(rows: Mapping[str, Sequence[Row]]) -> Figure:
     return figure
 
 
+_PORTRAITS = 8
+"""Of agents, side by side."""
+
+
 def _draw_line(
     axes: Axes, agent: str, places: Any, entries: Sequence[Mapping[str, float | None]]
 ) -> None:
@@ -180,21 +184,27 @@ def _draw_portraits(
 ) -> Figure:
     """The base's angles over the target orbit, two seconds at the end of an episode."""
     agents = len(next(iter(rows.values())))
-    figure = new_figure(1.6 * agents + 0.6, 1.75 * len(rows) + 0.3)
-    panels = figure.subplots(len(rows), agents, sharex=True, sharey=True, squeeze=False)
+    columns = min(agents, _PORTRAITS)
+    lines = -(-agents // columns)
+    figure = new_figure(1.6 * columns + 0.6, 1.75 * lines * len(rows) + 0.3)
+    panels = figure.subplots(
+        len(rows) * lines, columns, sharex="row", sharey="row", squeeze=False
+    ).reshape(len(rows), lines * columns)
     for line, (target, own) in zip(panels, rows.items(), strict=True):
         amplitude = environment[target]["amplitude"]
         orbit = LIMIT_CYCLES[target].orbit(amplitude)
         reach = 1.3 * amplitude
-        for axes, row in zip(line, own, strict=True):
+        for axes, row in zip(line, own, strict=False):
             axes.plot(*np.vstack((orbit, orbit[:1])).T, color=BLACK, linewidth=4, alpha=0.15)
             axes.plot(*np.array(row["portrait"]).T, color=_LOOKS[row["agent"]][0], linewidth=0.9)
             axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
             axes.tick_params(labelsize=7)
-        line[0].set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
-    for axes, row in zip(panels[0], next(iter(rows.values())), strict=True):
-        axes.set_title(row["agent"], fontsize=9)
-    for axes in panels[-1]:
+            axes.set_title(row["agent"], fontsize=8)
+        for axes in line[agents:]:
+            axes.set_visible(False)
+        for axes in line[::columns]:
+            axes.set_ylabel(f"{_TITLES[target]}\nφ (degrees)", fontsize=8)
+    for axes in panels[-1, -columns:]:
         axes.set_xlabel("θ (degrees)", fontsize=8)
     return figure
 
