@@ -67,7 +67,8 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         amplitude: as in `OctoArmEnv`, for all; or a sequence of N of them.
         arm: the body of all, as in `OctoArmEnv`; or a sequence of N bodies with one number of
             compartments.
-        control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight,
+        control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight:
+            as in `OctoArmEnv`.
         length_noise, action_noise, delay, dropout: as in `OctoArmEnv`.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
         width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
