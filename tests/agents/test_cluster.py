@@ -393,6 +393,13 @@ def test_an_exported_network_acts_as_rllib_does(cluster: Cluster) -> None:
 NAMED = replace(Hyperparameters.load("ppo"), arguments={"use_sde": True})
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_rllib_leaves_another_engine_s_training_alone(tmp_path: Path, resume: bool) -> None:
+    (tmp_path / "checkpoint.zip").touch()
+    with pytest.raises(ValueError, match="holds a training by sb3: choose another folder"):
+        rllib.train(Training.make("ppo", "quadratic"), tmp_path, resume=resume)
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [

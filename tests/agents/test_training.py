@@ -371,6 +371,16 @@ class TestHyperparameters:
         assert rate(0.0) == rate(-0.01) == 0.0
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_the_folder_of_another_engine_s_training_is_refused(tmp_path: Path, resume: bool) -> None:
+    """Both have the same folder if none is named."""
+    (tmp_path / "rllib_checkpoint.pkl").touch()
+    (tmp_path / "best.npz").write_bytes(b"its best")
+    with pytest.raises(ValueError, match="holds a training by rllib: choose another folder"):
+        train(Training.make("ppo", "quadratic"), tmp_path, resume=resume)
+    assert (tmp_path / "best.npz").read_bytes() == b"its best"
+
+
 def test_tuning_tries_and_goes_on(tmp_path: Path) -> None:
     # So few steps that nothing is learnt from them yet.
     first = tune_algorithm("sac", tmp_path, trials=1, steps=32)

@@ -42,7 +42,7 @@ from octoarm_agents.policies.network import Network
 from octoarm_agents.rl.export import layers_of
 from octoarm_agents.rl.hyperparameters import Hyperparameters
 from octoarm_agents.rl.judging import Judge, Progress
-from octoarm_agents.rl.task import Training, check_same
+from octoarm_agents.rl.task import Training, check_same, open_folder
 
 NORMALISED = "OctoArmNormalised"
 """The name under which Ray knows `make_arms`."""
@@ -229,14 +229,9 @@ def train(
             `resume`.
         OSError: the folder cannot be written to.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / "rllib_checkpoint.pkl"
+    checkpoint = open_folder(out, "rllib", resume)
     saved = None
     if checkpoint.exists():
-        if not resume:
-            raise ValueError(
-                f"{out} holds a training: resume it (--resume), or choose another folder"
-            )
         saved = _load(checkpoint, training)
         if (out / "training.json").exists():
             # It has been trained to its end.

@@ -90,6 +90,28 @@ class Training:
         return plain
 
 
+CHECKPOINTS = {"sb3": "checkpoint.zip", "rllib": "rllib_checkpoint.pkl"}
+"""The file, in a training's folder, from which each engine goes on."""
+
+
+def open_folder(out: Path, engine: str, resume: bool) -> Path:
+    """Make the folder of a training, and give the name of its checkpoint, which may be there.
+
+    Raises:
+        ValueError: the folder holds a training of another engine, or one and `resume` is not asked
+            for.
+        OSError: the folder cannot be made.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    for other, name in CHECKPOINTS.items():
+        if other != engine and (out / name).exists():
+            raise ValueError(f"{out} holds a training by {other}: choose another folder")
+    checkpoint = out / CHECKPOINTS[engine]
+    if checkpoint.exists() and not resume:
+        raise ValueError(f"{out} holds a training: resume it (--resume), or choose another folder")
+    return checkpoint
+
+
 def check_same(
     file: Path, saved: dict[str, Any], wanted: dict[str, Any], extended: bool = False
 ) -> None:

@@ -22,7 +22,7 @@ from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.judging import Judge, Progress
 from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
-from octoarm_agents.rl.task import Training, check_same
+from octoarm_agents.rl.task import CHECKPOINTS, Training, check_same, open_folder
 
 _PACKAGES = ("stable-baselines3", "sb3-contrib", "torch")
 """Their versions are written down too."""
@@ -72,14 +72,9 @@ def train(
     """
     if extend and not resume:
         raise ValueError("extend = True: expected resume = True too")
-    out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / "checkpoint.zip"
+    checkpoint = open_folder(out, "sb3", resume)
     saved = None
     if checkpoint.exists():
-        if not resume:
-            raise ValueError(
-                f"{out} holds a training: resume it (--resume), or choose another folder"
-            )
         saved = read_checkpoint(checkpoint)
         extended = extend and saved["training"].get("steps", training.steps) < training.steps
         check_same(checkpoint, saved["training"], training.plain(), extended)
@@ -205,7 +200,7 @@ class _Run(BaseCallback):
             "torch_random": torch.get_rng_state(),
             "action_random": self.model.action_space.np_random.bit_generator.state,
         }
-        write_checkpoint(self.out / "checkpoint.zip", self.model, state)
+        write_checkpoint(self.out / CHECKPOINTS["sb3"], self.model, state)
 
     def restore(self, kind: Any, saved: dict[str, Any]) -> None:
         judge = self.judge
