@@ -15,7 +15,7 @@ from octoarm_agents.analysis.measures import Advance, Measures, MeasureSettings,
 from octoarm_agents.analysis.plain import plain
 from octoarm_agents.analysis.rank import SeparationRanks, separation_ranks
 from octoarm_agents.common.whole import whole_fields
-from octoarm_env import ArmParameters
+from octoarm_env import Arm, ArmBatch, ArmParameters
 from octoarm_env.arrays import Float
 
 _SCALE_HOLDS = 100
@@ -160,15 +160,19 @@ def _separate(parameters: ArmParameters, settings: SurveySettings) -> Separation
     different = settings.values(_DIFFERENT, *shape)
     others, share = settings.values(_SIMILAR, *shape), settings.similarity
     similar = (1 - share) * different[0] + share * others
-    driven = DrivenArm(parameters, settings.drive)
+    arm = Arm(parameters, settings.drive.actuator)
+    hold_steps = settings.drive.hold_steps(parameters.timestep)
+    batch = ArmBatch([arm] * settings.streams, threads=1)
+    start = batch.states
 
     def final_states(streams: Float) -> Float:
-        states = []
-        for stream in streams:
-            driven.arm.reset()
-            driven.last = 0.0
-            states.append(driven.run(stream)[-1])
-        return np.array(states)
+        batch.states = start
+        angles = [settings.drive.angles(each, 0.0, parameters.timestep) for each in streams]
+        run = batch.run(np.stack(angles), stride=hold_steps)
+        for failure in run.failures:
+            if failure is not None:
+                raise failure
+        return run.lengths[:, -1]
 
     tolerance = settings.measures.tolerance
     return separation_ranks(final_states(different), final_states(similar), tolerance)
