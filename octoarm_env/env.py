@@ -97,6 +97,7 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     | `tracking_error`       | float64        | distance between the two [degrees]         |
     | `reward_tracking`      | float64        | see Rewards                                |
     | `reward_action_change` | float64        | see Rewards                                |
+    | `body`                 | int64          | which of `settings.drawn_bodies` the arm is |
     | `failure`              | str            | only on termination                        |
 
     ## Arguments
@@ -115,6 +116,9 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     | `action_noise`         | `0.0`         | half width of white noise on the commanded angles, drawn every control period, 0 to 90 degrees |
     | `delay`                | `0`           | control periods that a reading takes to the agent, 0 to 1000; at the begin of an episode the first one is seen |
     | `dropout`              | `0`           | springs, drawn anew at every reset, whose rest length is seen in place of their length |
+    | `vary`                 | `None`        | factors (low, high) in (0, 10] on numbers of the arm by their names, such as `{"longitudinal_stiffness": (0.8, 1.2)}`: bodies are drawn between them. Not `compartments`, `timestep`, `rest_length`, `servo_frequency` |
+    | `bodies`               | `1`           | bodies that are drawn, 1 to 256, one of which each reset takes; the first environment of these settings takes up to a tenth of a second for each |
+    | `body_seed`            | `0`           | of the bodies: the same ones whatever the seed of the episodes; another one gives bodies not seen before |
     | `render_mode`          | `None`        | `"rgb_array"` or `"human"`, see Rendering                |
     | `width`                | `640`         | of a picture, 16 to 4096 pixels                          |
     | `height`               | `480`         | of a picture, 16 to 4096 pixels                          |
@@ -164,6 +168,9 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
         action_noise: float = 0.0,
         delay: int = 0,
         dropout: int = 0,
+        vary: Mapping[str, tuple[float, float]] | None = None,
+        bodies: int = 1,
+        body_seed: int = 0,
         render_mode: Literal["human", "rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
@@ -185,6 +192,9 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             action_noise,
             delay,
             dropout,
+            {} if vary is None else vary,
+            bodies,
+            body_seed,
         )
         self._core = self._new_core()
         self.metadata = self.metadata | {"render_fps": render_fps(control_period)}

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from octoarm_env._core import drawn_bodies
 from octoarm_env.arguments import actuator_name, number, whole_number
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.targets import TARGET_NAMES
@@ -99,6 +100,10 @@ class EpisodeSettings:
         action_noise: half width of white noise on the commanded angles [degrees].
         delay: control periods that a reading takes to the agent.
         dropout: springs, drawn at every reset, whose rest length is seen in place of their length.
+        vary: factors (low, high) on numbers of the arm, by their names; those of a body are drawn
+            between them.
+        bodies: how many bodies are drawn, one of which is at hand for each episode.
+        body_seed: of these bodies.
     """
 
     target: str | tuple[tuple[float, float], ...] = "quadratic"
@@ -114,6 +119,9 @@ class EpisodeSettings:
     action_noise: float = 0.0
     delay: int = 0
     dropout: int = 0
+    vary: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict, hash=False)
+    bodies: int = 1
+    body_seed: int = 0
 
     def __post_init__(self) -> None:
         """Bring what was given into its plain form.
@@ -128,6 +136,9 @@ class EpisodeSettings:
             "arm": ArmParameters.of(self.arm),
             "delay": whole_number("delay", self.delay, 0),
             "dropout": whole_number("dropout", self.dropout, 0),
+            "vary": _factors(self.vary),
+            "bodies": whole_number("bodies", self.bodies, 1),
+            "body_seed": whole_number("body_seed", self.body_seed, 0, 2**64 - 1),
         }
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
@@ -139,7 +150,7 @@ class EpisodeSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as JSON can hold them; `from_dict` gives them back."""
-        return dataclasses.asdict(self) | {"target": plain(self.target)}
+        return dataclasses.asdict(self) | {"target": plain(self.target), "vary": plain(self.vary)}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> EpisodeSettings:
@@ -153,6 +164,11 @@ class EpisodeSettings:
         if unknown:
             raise ValueError(f"unknown settings {unknown}; known are {known}")
         return cls(**content)
+
+    @functools.cached_property
+    def drawn_bodies(self) -> tuple[ArmParameters, ...]:
+        """The bodies that episodes are made with, in the order of ``info["body"]``."""
+        return tuple(ArmParameters.from_dict(json.loads(each)) for each in drawn_bodies(self.text))
 
     @functools.cached_property
     def text(self) -> str:
@@ -174,6 +190,20 @@ def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     if "phase" not in options:
         return None
     return number("options['phase']", options["phase"])
+
+
+def _factors(value: Any) -> dict[str, tuple[float, float]]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise TypeError(f"vary must be a mapping from names, not {type(value).__name__}")
+    factors = {}
+    for name, pair in plain(value).items():
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise ValueError(f"vary[{name!r}] = {pair!r}: expected two factors, (low, high)")
+        low, high = (number(f"vary[{name!r}][{index}]", each) for index, each in enumerate(pair))
+        factors[str(name)] = low, high
+    return factors
 
 
 def _target(value: Any) -> str | tuple[tuple[float, float], ...]:

@@ -69,7 +69,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             compartments.
         control_period, actuator, action_range, tracking_weight, reward_width, action_change_weight:
             as in `OctoArmEnv`.
-        length_noise, action_noise, delay, dropout: as in `OctoArmEnv`.
+        length_noise, action_noise, delay, dropout, vary, bodies, body_seed: as in `OctoArmEnv`.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
         width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
@@ -113,6 +113,9 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         action_noise: float = 0.0,
         delay: int = 0,
         dropout: int = 0,
+        vary: Mapping[str, tuple[float, float]] | None = None,
+        bodies: int = 1,
+        body_seed: int = 0,
         render_mode: Literal["rgb_array"] | None = None,
         width: int = 640,
         height: int = 480,
@@ -134,6 +137,7 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
         columns = (_per_env(name, value, self.num_envs) for name, value in several.items())
         others = (action_range, tracking_weight, reward_width, action_change_weight)
         noises, counts = (length_noise, action_noise), (delay, dropout)
+        factors = {} if vary is None else vary
         known: dict[tuple[int, Any, int], EpisodeSettings] = {}
         settings = []
         for one_target, one_amplitude, body in zip(*columns, strict=True):
@@ -142,7 +146,14 @@ class OctoArmVectorEnv(MadeOnce, gym.vector.VectorEnv[Float, NDArray[np.float32]
             if key not in known:
                 of_one = (one_target, one_amplitude, control_period, actuator)
                 known[key] = EpisodeSettings(
-                    *of_one, ArmParameters.of(body), *others, *noises, *counts
+                    *of_one,
+                    ArmParameters.of(body),
+                    *others,
+                    *noises,
+                    *counts,
+                    factors,
+                    bodies,
+                    body_seed,
                 )
             settings.append(known[key])
         if max_episode_steps == -1:

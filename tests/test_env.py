@@ -471,4 +471,4 @@ def test_numbers_in_the_info_are_numpy_s() -> None:
         assert {name: value.dtype for name, value in info.items()} == dict.fromkeys(
             ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
             np.dtype(np.float64),
-        )
+        ) | {"body": np.dtype(np.int64)}

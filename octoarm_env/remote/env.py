@@ -67,7 +67,8 @@ class RemoteEpisode(RemoteWorld):
         info: dict[str, Any] = {}
         for name in INFO:
             value = unpack(found[self._uids[name]])
-            info[name] = value if isinstance(value, np.ndarray) else np.float64(value)
+            scalar = np.int64 if isinstance(value, int) else np.float64
+            info[name] = value if isinstance(value, np.ndarray) else scalar(value)
         if terminated:
             info["failure"] = unpack(found[self._uids["failure"]])
         lengths = unpack(found[self._uids["spring_lengths"]])

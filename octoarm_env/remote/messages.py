@@ -78,8 +78,8 @@ def unpack(tensor: Any) -> Any:
     """Read a tensor.
 
     Returns:
-        Without a shape, a number or text; else an array of float64 or bool, a list of texts, or
-        bytes.
+        Without a shape, a number or text; else an array of float64, int64 or bool, a list of
+        texts, or bytes.
 
     Raises:
         ValueError: a tensor of another kind, or one whose elements do not fill its shape.
@@ -98,6 +98,8 @@ def unpack(tensor: Any) -> Any:
         array = _content(tensor.doubles, "<f8").astype(np.float64)
     elif kind == "bools":
         array = _content(tensor.bools, "u1").astype(np.bool_)
+    elif kind == "int64s":
+        array = np.array(elements, np.int64)
     else:
         raise ValueError(f"the server sent an array of {kind}")
     # An array has the shape that is wanted mostly.

@@ -124,7 +124,7 @@ class RemoteEpisodeBatch(RemoteWorld):
         for name in INFO:
             values = self._observation(answer, name)
             if not everybody:
-                values[~chosen] = 0.0
+                values[~chosen] = 0
             infos |= {name: values, f"_{name}": chosen.copy()}
         if everybody and terminated.any():
             # An episode that begins has no failure.
@@ -149,7 +149,7 @@ class RemoteEpisodeBatch(RemoteWorld):
         final: Infos = {}
         for name in INFO:
             rows = self._observation(answer, f"final_{name}")
-            values = np.zeros((self._count, *rows.shape[1:]))
+            values = np.zeros((self._count, *rows.shape[1:]), rows.dtype)
             values[places] = rows
             final |= {name: values, f"_{name}": ended.copy()}
         self._add_failures(final, self._observation(answer, "final_failure"), places)

@@ -19,7 +19,10 @@ from octoarm_env.remote.connection import TOKEN_VARIABLE, Connection, write_requ
 from octoarm_env.remote.messages import EnvironmentRequest
 from octoarm_env.settings import EpisodeSettings
 
-INFO = ("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change")
+INFO = (
+    *("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
+    "body",
+)
 """What a step tells of an arm in numbers."""
 
 _KEPT = 64

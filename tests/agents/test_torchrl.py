@@ -29,7 +29,10 @@ def torchrl_envs() -> Any:
 
 envs = torchrl_envs()
 
-INFOS = {"base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"}
+INFOS = {
+    *("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
+    "body",
+}
 
 
 def check(env: Any, steps: int) -> Any:

@@ -24,7 +24,7 @@ from octoarm_agents.common.serving import ServerProcess
 from octoarm_env import OctoArmEnv
 
 METHOD = "/dm_env_rpc.v1.Environment/Process"
-ALL = tuple(range(1, 11))
+ALL = tuple(range(1, 12))
 """The numbers of all observations; their names are in the specs."""
 PATIENCE = 120.0
 """Seconds after which something is taken to never happen; all of it is a matter of milliseconds."""

@@ -247,6 +247,11 @@ NAMES = [
     "action_noise",
     "delay",
     "dropout",
+    "bodies",
+    "body_seed",
+    "vary",
+    "vary.arm_density",
+    "vary.colour",
     "seed",
     "phase",
     "num_envs",
@@ -319,7 +324,7 @@ SPECIAL = {
         st.sampled_from([-1, 0, 1, 2, 3, 80, 2**20 + 1, 2**31 - 1, -(2**31)]), max_size=4
     ),
     "dm_env_rpc.v1.StepRequest.requested_observations": st.just(ALL)
-    | st.lists(st.integers(1, 11) | _whole(0, 2**64 - 1), max_size=5),
+    | st.lists(st.integers(1, 12) | _whole(0, 2**64 - 1), max_size=5),
 }
 
 

@@ -53,8 +53,9 @@ SAMPLES = 15.0 * np.array([[np.sin(t), np.cos(3 * t)] for t in np.linspace(0, 6.
         (500, {"target": "lissajous", "arm": BODY, "control_period": 0.003}),
         (500, {"target": SAMPLES, "action_range": 17.3, "reward_width": 0.1}),
         (200, {"length_noise": 1e-5, "action_noise": 3.0, "delay": 3, "dropout": 5}),
+        (30, {"vary": {"arm_density": (0.9, 1.1)}, "bodies": 3, "body_seed": 2**64 - 1}),
     ],
-    ids=["default", "long", "servo", "body", "samples", "disturbed"],
+    ids=["default", "long", "servo", "body", "samples", "disturbed", "bodies"],
 )
 def test_every_bit_is_the_local_one(make: Make, steps: int, arguments: dict[str, Any]) -> None:
     remote, local = make(**arguments), OctoArmEnv(**arguments)

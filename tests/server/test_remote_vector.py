@@ -44,7 +44,11 @@ def make(server: ServerProcess) -> Iterator[Make]:
         envs.close()
 
 
-@pytest.mark.parametrize("disturbed", [{}, {"length_noise": 1e-5, "delay": 2}], ids=str)
+@pytest.mark.parametrize(
+    "disturbed",
+    [{}, {"length_noise": 1e-5, "delay": 2}, {"vary": {"arm_density": (0.9, 1.1)}, "bodies": 9}],
+    ids=str,
+)
 @pytest.mark.parametrize("mode", MODES)
 def test_conformance(server: ServerProcess, mode: AutoresetMode, disturbed: dict[str, Any]) -> None:
     options: dict[str, Any] = {"max_episode_steps": 7, **disturbed}
@@ -283,7 +287,7 @@ def test_any_client_reads_the_ends(server: ServerProcess) -> None:
     with Client(server.address) as client:
         client.enter(num_envs=2, autoreset_mode="same_step", max_episode_steps=1, seed=1)
         uids = {name: uid for uid, name in client._names.items()}
-        assert uids["final_spring_lengths"] == 11
+        assert uids["final_spring_lengths"] == 12
         first = client.named(client.step())
         wanted = sorted(client._names)
         step = client.named(

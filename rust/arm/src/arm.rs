@@ -115,6 +115,17 @@ impl Arm {
         self.lane.restore(0, &ArmState::undeformed(self.lane.parameters(0)));
     }
 
+    /// Takes another arm's body and actuator, and a state that this very body has been in, without checks.
+    ///
+    /// # Panics
+    /// If it has another number of compartments.
+    pub fn place(&mut self, other: &Self, state: &ArmState) {
+        assert_eq!(self.observation_len(), other.observation_len(), "bodies of one shape");
+        self.lane.set_body(0, &other.lane);
+        self.lane.restore(0, state);
+        self.equilibrium.clone_from(&other.equilibrium);
+    }
+
     /// The complete state.
     #[must_use]
     pub fn state(&self) -> ArmState {

@@ -130,6 +130,24 @@ impl ArmLanes {
         of!(&mut self.lanes, lanes => lanes.restore_many(states));
     }
 
+    /// Puts other arms' bodies into lanes, in states that these very bodies have been in, without checks;
+    /// all must have as many compartments as those here.
+    ///
+    /// # Panics
+    /// If an arm has another number of compartments.
+    pub fn place(&mut self, arms: &[(usize, &Arm, &ArmState)]) {
+        let width = self.observation_len();
+        assert!(
+            arms.iter().all(|(_, arm, _)| arm.observation_len() == width),
+            "lanes of one shape"
+        );
+        for (lane, arm, _) in arms {
+            of!(&mut self.lanes, lanes => lanes.set_body(*lane, arm.lane()));
+        }
+        let states: Vec<_> = arms.iter().map(|(lane, _, state)| (*lane, *state)).collect();
+        self.restore(&states);
+    }
+
     /// Sets an arm's muscle inputs ξ_c and δ_c \[N\], as [`Arm::set_muscles`].
     ///
     /// # Errors

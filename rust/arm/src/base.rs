@@ -124,6 +124,14 @@ impl<const L: usize> BaseDrive<L> {
         }
     }
 
+    /// Gives a lane the drive of an arm alone.
+    pub(crate) fn set_lane(&mut self, lane: usize, alone: &BaseDrive<1>) {
+        self.actuator[lane] = alone.actuator[0];
+        self.timestep[lane] = alone.timestep[0];
+        self.half[lane] = alone.half[0];
+        self.full[lane] = alone.full[0];
+    }
+
     pub(crate) fn actuator(&self, lane: usize) -> Actuator {
         self.actuator[lane]
     }

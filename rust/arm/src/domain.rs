@@ -8,7 +8,7 @@
 //! (the quadratic cycle of 130 degrees on a directly driven base), while a strut below a tenth of its
 //! height was never seen to come back.
 
-use crate::kernel::{Block, Lengths, Row, WIDTH, lane_row};
+use crate::kernel::{Block, Lengths, Row, WIDTH, lane_row, set_lane};
 use crate::parameters::ArmParameters;
 use crate::state::COORDINATES;
 
@@ -161,6 +161,15 @@ impl Bounds {
                 row(|arm| (SPRING_LENGTH.1 * arm.rest_length).powi(2) * (1.0 - ROUNDING)),
             ],
         }
+    }
+}
+
+impl Bounds {
+    /// Gives one of `L` lanes the bounds of an arm alone.
+    pub(crate) fn set_lane<const L: usize>(&mut self, lane: usize, alone: &Self) {
+        let Self { height, length } = self;
+        let rows = height.iter_mut().zip(&alone.height).chain(length.iter_mut().zip(&alone.length));
+        rows.for_each(|(row, alone)| set_lane::<L>(row, lane, alone));
     }
 }
 

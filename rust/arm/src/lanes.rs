@@ -51,6 +51,16 @@ impl<const L: usize> Lanes<L> {
         self.drive.actuator(lane)
     }
 
+    /// Takes the body and the actuator of another arm; the state of the lane must be restored next.
+    pub(crate) fn set_body(&mut self, lane: usize, arm: &Lanes<1>) {
+        let same = Arc::ptr_eq(arm.parameters(0), self.parameters(lane));
+        if !same || arm.actuator(0) != self.actuator(lane) {
+            self.parameters[lane] = Arc::clone(arm.parameters(0));
+            self.drive.set_lane(lane, &arm.drive);
+            self.integrator.set_body(lane, &arm.integrator);
+        }
+    }
+
     fn compartments(&self) -> usize {
         self.parameters[0].compartments
     }

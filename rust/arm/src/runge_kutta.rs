@@ -5,7 +5,8 @@ use crate::domain::{Bounds, mark_outside};
 use crate::instruction_set::{Supported, compiled_for_each_set};
 use crate::kernel::{
     BaseFrame, Block, Body, InertiaTravel, Lengths, Material, MotionTravel, Muscles, Rest, Row,
-    STRETCH, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, spring_lengths,
+    STRETCH, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, set_lane,
+    spring_lengths,
 };
 use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::COORDINATES;
@@ -130,6 +131,25 @@ impl<const L: usize> Integrator<L> {
         };
         refresh(Supported::detected(), &mut integrator, ());
         integrator
+    }
+
+    /// Gives a lane the body of an arm alone, with as many compartments; its state must be set next.
+    pub(crate) fn set_body(&mut self, lane: usize, alone: &Integrator<1>) {
+        self.body.set_lane(lane, &alone.body);
+        self.bounds.set_lane::<L>(lane, &alone.bounds);
+        let Shares { full, half, third, sixth } = &mut *self.shares;
+        for (row, alone) in [
+            (full, &alone.shares.full),
+            (half, &alone.shares.half),
+            (third, &alone.shares.third),
+            (sixth, &alone.shares.sixth),
+        ] {
+            set_lane::<L>(row, lane, alone);
+        }
+        for (row, alone) in self.gravity.iter_mut().zip(alone.gravity) {
+            row[lane] = alone[0];
+        }
+        self.carries[lane] = alone.carries[0];
     }
 
     /// What [`Integrator::new`] asks for on the heap \[bytes\], and a quarter more for the allocator.

@@ -101,6 +101,44 @@ fn arms_side_by_side_are_the_arms_alone_on_every_instruction_set() {
 }
 
 #[test]
+fn a_lane_takes_another_body() {
+    for set in SETS {
+        for count in [8, 3, 1] {
+            let pool: Vec<Arm> =
+                bodies(7).into_iter().map(|arm| arm.with_instruction_set(set)).collect();
+            let mut arms: Vec<Arm> = pool[..count].to_vec();
+            let mut lanes = ArmLanes::new(&arms.iter().collect::<Vec<_>>()).unwrap();
+            let mut x = 3;
+            for round in 0..6_usize {
+                // Another body in every other lane, one at work beside those that stay.
+                let changed: Vec<usize> =
+                    (0..count).filter(|lane| (lane + round) % 2 == 0).collect();
+                for lane in &changed {
+                    arms[*lane] = pool[(lane + 3 * round) % 8].clone();
+                }
+                let states: Vec<_> = changed.iter().map(|lane| arms[*lane].state()).collect();
+                let placed: Vec<_> = changed
+                    .iter()
+                    .zip(&states)
+                    .map(|(lane, at)| (*lane, &arms[*lane], at))
+                    .collect();
+                lanes.place(&placed);
+                for step in 0..20 {
+                    let push = [0.05 * f64::from(step), 0.02 * congruential(&mut x)];
+                    assert!(lanes.step(&[push; ArmLanes::WIDTH], &[true; ArmLanes::WIDTH]));
+                    for (lane, arm) in arms.iter_mut().enumerate() {
+                        arm.step(push).unwrap();
+                        assert_same(&lanes, lane, arm, step as usize);
+                        assert_eq!(lanes.parameters(lane), arm.parameters());
+                        assert_eq!(lanes.actuator(lane), arm.actuator());
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn an_arm_that_fails_keeps_its_state_and_disturbs_no_neighbour() {
     let mut arms: Vec<Arm> = (0..8)
         .map(|_| Arm::undeformed(ArmParameters::inertial(), Actuator::Direct).unwrap())

@@ -160,6 +160,22 @@ impl ArmBatch {
         Ok(())
     }
 
+    /// [`ArmBatch::set_states`] with the bodies of other arms, with as many compartments as these.
+    ///
+    /// # Errors
+    /// As [`ArmBatch::set_states`]; no arm is changed then.
+    pub(crate) fn set_arms<'a>(
+        &mut self,
+        bodies: &[&Arm],
+        states: impl ExactSizeIterator<Item = &'a ArmState>,
+    ) -> Result<(), ParameterError> {
+        let before = self.groups.clone();
+        for (arm, body) in bodies.iter().enumerate() {
+            self.groups[arm / WIDTH].place(&[(arm % WIDTH, body, &body.state())]);
+        }
+        self.set_states(states).inspect_err(|_| self.groups = before)
+    }
+
     /// The muscle inputs ξ_c and δ_c \[N\] of all arms, each in observation order.
     #[must_use]
     pub fn muscles(&self) -> (Vec<f64>, Vec<f64>) {

@@ -1,10 +1,17 @@
 //! The settings of an episode, under the names that Python and files use.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use octoarm_arm::{Actuator, Arm, ArmParameters, Interval, ParameterError, domain, read_json};
+use octoarm_arm::{
+    Actuator, ArmParameters, Interval, ParameterError, domain, read_fields, read_json,
+};
+use rand_core::SeedableRng;
+use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
+use crate::draw::share;
 use crate::orbit::{Orbit, Target, TargetName};
 use crate::reward::Reward;
 
@@ -45,6 +52,15 @@ pub struct EpisodeConfig {
     /// Springs, drawn at every reset, whose rest length is seen in place of their length; by default
     /// none.
     pub dropout: usize,
+    /// Factors on parameters of the arm, by their names: a body's own are drawn uniformly between these
+    /// two, in (0, 10\]. By default none. `compartments`, `timestep`, `rest_length` and
+    /// `servo_frequency` stay as they are.
+    pub vary: BTreeMap<String, [f64; 2]>,
+    /// Bodies that are drawn, one of which is at hand for each episode, in \[1, 256\]; by default 1,
+    /// which it is without `vary`.
+    pub bodies: usize,
+    /// Seed of the factors: the same bodies whatever the seed of the episodes is; by default 0.
+    pub body_seed: u64,
 }
 
 impl Default for EpisodeConfig {
@@ -63,6 +79,9 @@ impl Default for EpisodeConfig {
             action_noise: 0.0,
             delay: 0,
             dropout: 0,
+            vary: BTreeMap::new(),
+            bodies: 1,
+            body_seed: 0,
         }
     }
 }
@@ -73,10 +92,15 @@ const ACTION_RANGE_PER_AMPLITUDE: f64 = 1.3;
 const ANGLE_LIMIT: f64 = 360.0;
 const MAX_CONTROL_STEPS: f64 = 10_000.0;
 const MAX_DELAY: usize = 1000;
+const MAX_BODIES: usize = 256;
+/// Sets the generator of bodies apart from those of episodes.
+const BODIES_APART: u64 = 0x6a09_e667_f3bc_c908;
+/// Parameters that are no body's own: shape and clock of what is seen and commanded.
+const FIXED: [&str; 4] = ["compartments", "timestep", "rest_length", "servo_frequency"];
 
-/// Settings that have been checked, with an arm of their body; shared, and never changed.
+/// Settings that have been checked, with their bodies; shared, and never changed.
 #[derive(Clone, Debug)]
-pub struct CheckedConfig(Arc<(EpisodeConfig, Arm)>);
+pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>)>);
 
 impl std::ops::Deref for CheckedConfig {
     type Target = EpisodeConfig;
@@ -87,8 +111,9 @@ impl std::ops::Deref for CheckedConfig {
 }
 
 impl CheckedConfig {
-    /// An arm of the body, undeformed.
-    pub(crate) fn undeformed_arm(&self) -> &Arm {
+    /// The bodies that episodes are made with: that of the settings, or those drawn around it.
+    #[must_use]
+    pub fn drawn_bodies(&self) -> &[ArmParameters] {
         &self.0.1
     }
 
@@ -121,7 +146,7 @@ impl EpisodeConfig {
     /// [`ParameterError`] that names the setting, its value and its range.
     pub fn checked(self) -> Result<CheckedConfig, ParameterError> {
         let above = Interval::above;
-        let arm = Arm::undeformed(self.arm.clone(), self.actuator)?;
+        self.arm.validate()?;
         for (name, value, range) in [
             ("amplitude", self.amplitude, above(0.0, ANGLE_LIMIT)),
             ("action_range", self.action_range, above(0.0, ANGLE_LIMIT)),
@@ -144,17 +169,59 @@ impl EpisodeConfig {
             return Err(ParameterError::out_of_range("control_period", self.control_period, range));
         }
         for (name, value, most) in
-            [("delay", self.delay, MAX_DELAY), ("dropout", self.dropout, arm.observation_len())]
+            [("delay", self.delay, MAX_DELAY), ("dropout", self.dropout, 4 * self.arm.compartments)]
         {
             if value > most {
                 let range = format!("[0, {most}] of whole numbers");
                 return Err(ParameterError::out_of_range(name, value, range));
             }
         }
+        let most = if self.vary.is_empty() { 1 } else { MAX_BODIES };
+        if !(1..=most).contains(&self.bodies) {
+            let without = if self.vary.is_empty() { " without vary" } else { "" };
+            let range = format!("[1, {most}] of whole numbers{without}");
+            return Err(ParameterError::out_of_range("bodies", self.bodies, range));
+        }
+        for (name, [low, high]) in &self.vary {
+            let entry = |index: usize| move || format!("vary.{name}[{index}]");
+            above(0.0, 10.0).check(*low, entry(0))?;
+            Interval::closed(*low, 10.0).check(*high, entry(1))?;
+        }
         if let Target::Samples(samples) = &self.target {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
         }
-        Ok(CheckedConfig(Arc::new((self, arm))))
+        let drawn = self.draw_bodies()?;
+        drawn.iter().try_for_each(ArmParameters::validate)?;
+        Ok(CheckedConfig(Arc::new((self, drawn))))
+    }
+
+    /// The parameters of every body: those of `arm`, each that varies with a factor of its own.
+    fn draw_bodies(&self) -> Result<Vec<ArmParameters>, ParameterError> {
+        let Ok(Value::Object(nominal)) = serde_json::to_value(&self.arm) else {
+            return Err(ParameterError::Format("the body has no JSON form".to_owned()));
+        };
+        // A number that has a point in JSON; counts have none.
+        let varies = |name: &str| -> Option<f64> {
+            let number = nominal.get(name).filter(|value| value.is_f64() && !FIXED.contains(&name));
+            number.and_then(Value::as_f64)
+        };
+        if let Some(name) = self.vary.keys().find(|name| varies(name).is_none()) {
+            let known: Vec<&str> =
+                nominal.keys().map(String::as_str).filter(|name| varies(name).is_some()).collect();
+            let range = format!("of numbers of the body: {}", known.join(", "));
+            return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
+        }
+        let mut generator = Pcg64::seed_from_u64(self.body_seed ^ BODIES_APART);
+        let body = |_| {
+            let mut drawn = nominal.clone();
+            for (name, [low, high]) in &self.vary {
+                let factor = low + (high - low) * share(&mut generator);
+                let value = factor * varies(name).unwrap_or_default();
+                drawn.insert(name.clone(), value.into());
+            }
+            read_fields(Value::Object(drawn))
+        };
+        (0..self.bodies).map(body).collect()
     }
 
     /// Physics steps from one action to the next.
@@ -218,6 +285,20 @@ mod tests {
             (r#"{"delay": 1001}"#, "delay = 1001"),
             (r#"{"delay": -1}"#, "delay"),
             (r#"{"dropout": 81}"#, "dropout = 81"),
+            (r#"{"bodies": 2}"#, "bodies = 2"),
+            (r#"{"bodies": 0, "vary": {"arm_density": [0.9, 1.1]}}"#, "bodies = 0"),
+            (r#"{"bodies": 257, "vary": {"arm_density": [0.9, 1.1]}}"#, "bodies = 257"),
+            (r#"{"vary": {"arm_density": [0.0, 1.1]}}"#, "vary.arm_density[0] = 0"),
+            (r#"{"vary": {"arm_density": [1.1, 0.9]}}"#, "vary.arm_density[1] = 0.9"),
+            (r#"{"vary": {"arm_density": [1.0]}}"#, "vary.arm_density"),
+            (
+                r#"{"vary": {"colour": [1.0, 1.1]}}"#,
+                "vary = \"colour\" is outside the allowed range of numbers of the body: area_scale, ",
+            ),
+            (r#"{"vary": {"timestep": [1.0, 1.1]}}"#, "vary = \"timestep\""),
+            (r#"{"vary": {"gravity": [1.0, 1.1]}}"#, "vary = \"gravity\""),
+            (r#"{"vary": {"compartments": [1.0, 2.0]}}"#, "vary = \"compartments\""),
+            (r#"{"vary": {"longitudinal_mass_share": [5.0, 6.0]}}"#, "longitudinal_mass_share = "),
             (r#"{"target": [[0.0, 1.0]]}"#, "target"),
             (r#"{"target": "square"}"#, "target: "),
             (r#"{"arm": {"area_scale": "big"}}"#, "arm.area_scale: invalid type"),
@@ -229,6 +310,42 @@ mod tests {
             let message = config.expect_err(text).to_string();
             assert!(message.contains(expected), "{text}: {message}");
         }
+    }
+
+    #[test]
+    fn bodies_are_drawn_between_the_factors() {
+        let text = |seed: u64| {
+            format!(
+                r#"{{"bodies": 50, "body_seed": {seed},
+                    "vary": {{"longitudinal_stiffness": [0.5, 2.0], "arm_density": [0.9, 1.0]}}}}"#
+            )
+        };
+        let bodies = |seed: u64| -> Vec<ArmParameters> {
+            let config = EpisodeConfig::from_json(&text(seed)).expect("settings");
+            let checked = config.checked().expect("valid");
+            checked.drawn_bodies().to_vec()
+        };
+        let drawn = bodies(0);
+        assert_eq!(drawn.len(), 50);
+        let nominal = ArmParameters::default();
+        let factors: Vec<f64> = drawn
+            .iter()
+            .map(|arm| arm.longitudinal_stiffness / nominal.longitudinal_stiffness)
+            .collect();
+        assert!(factors.iter().all(|factor| (0.5..=2.0).contains(factor)), "{factors:?}");
+        assert!(factors.iter().any(|factor| *factor < 0.7), "{factors:?}");
+        assert!(factors.iter().any(|factor| *factor > 1.8), "{factors:?}");
+        for arm in &drawn {
+            assert!((0.9..=1.0).contains(&(arm.arm_density / nominal.arm_density)));
+            let longitudinal_stiffness = nominal.longitudinal_stiffness;
+            let arm_density = nominal.arm_density;
+            let same = ArmParameters { longitudinal_stiffness, arm_density, ..arm.clone() };
+            assert_eq!(same, nominal);
+        }
+        assert_eq!(bodies(0), drawn);
+        assert_ne!(bodies(1), drawn);
+        let plain = EpisodeConfig::default().checked().expect("valid");
+        assert_eq!(plain.drawn_bodies(), [nominal]);
     }
 
     #[test]

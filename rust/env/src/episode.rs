@@ -6,7 +6,7 @@ use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step;
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Task, check_phase, check_step};
+use crate::task::{EpisodeState, Stage, Start, Task, check_phase, check_step};
 
 /// An arm that follows a target.
 #[derive(Clone, Debug)]
@@ -39,11 +39,11 @@ impl Episode {
 
     /// The settings.
     #[must_use]
-    pub fn config(&self) -> &EpisodeConfig {
+    pub fn config(&self) -> &CheckedConfig {
         self.task.config()
     }
 
-    /// The swing whose snapshots episodes begin from.
+    /// The swing of the present body, from whose snapshots episodes begin.
     #[must_use]
     pub fn swing(&self) -> &Swing {
         self.task.swing()
@@ -74,24 +74,24 @@ impl Episode {
 
     /// Begins an episode at a random phase of the swing.
     pub fn reset(&mut self) -> Outcome {
-        let index = self.task.draw();
-        self.reset_to(index)
+        let start = self.task.draw(None);
+        self.begin(start)
     }
 
-    /// Begins an episode at the snapshot nearest to a phase of the target in turns, 0 to 1.
+    /// Begins an episode at the snapshot nearest to a phase of the target in turns, 0 to 1. The body is
+    /// drawn, where there are several.
     ///
     /// # Errors
     /// [`ParameterError::OutOfRange`] for a phase outside [0, 1].
     pub fn reset_to_phase(&mut self, phase: f64) -> Result<Outcome, ParameterError> {
         check_phase(phase)?;
-        Ok(self.reset_to(self.task.nearest(phase)))
+        let start = self.task.draw(Some(phase));
+        Ok(self.begin(start))
     }
 
-    fn reset_to(&mut self, index: usize) -> Outcome {
-        // A snapshot was a valid state of this very body.
-        let restored = self.arm.set_state(self.task.start(index));
-        debug_assert!(restored.is_ok(), "{restored:?}");
-        self.task.begin(index);
+    fn begin(&mut self, start: Start) -> Outcome {
+        self.arm.place(self.task.arm_of(start.body), self.task.first_state(start));
+        self.task.begin(start);
         self.see();
         self.task.first_outcome(self.arm.base_degrees())
     }
@@ -182,7 +182,9 @@ impl Episode {
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &EpisodeState) -> Result<(), ParameterError> {
         state.check(&self.task)?;
-        self.arm.set_state(&state.arm)?;
+        let mut arm = self.task.arm_of(state.body).clone();
+        arm.set_state(&state.arm)?;
+        self.arm = arm;
         self.task.set_state(state);
         Ok(())
     }

@@ -7,11 +7,11 @@ use octoarm_arm::{Arm, ArmLanes, ArmState, ParameterError, memory};
 use serde::{Deserialize, Serialize};
 
 use crate::arm_batch::{ArmBatch, check_len};
-use crate::config::{CheckedConfig, EpisodeConfig};
+use crate::config::CheckedConfig;
 use crate::control::control_step_of_lanes;
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Task, check_actions, check_phase};
+use crate::task::{EpisodeState, Stage, Start, Task, check_actions, check_phase};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -108,21 +108,26 @@ struct GroupStep<'a> {
     lasts: &'a mut [Option<Last>],
 }
 
-/// Begins episodes at snapshots, given as (lane, snapshot), and tells where they stand.
+/// Begins episodes in lanes, and tells where they stand.
 fn begin(
     lanes: &mut ArmLanes,
     tasks: &mut [Task],
     outcomes: &mut [Option<Outcome>],
-    starts: &[(usize, usize)],
+    starts: &[(usize, Start)],
 ) {
     if starts.is_empty() {
         return;
     }
-    let states: Vec<(usize, &ArmState)> =
-        starts.iter().map(|(lane, snapshot)| (*lane, tasks[*lane].start(*snapshot))).collect();
-    lanes.restore(&states);
-    for (lane, snapshot) in starts {
-        tasks[*lane].begin(*snapshot);
+    let arms: Vec<(usize, &Arm, &ArmState)> = starts
+        .iter()
+        .map(|(lane, start)| {
+            let task = &tasks[*lane];
+            (*lane, task.arm_of(start.body), task.first_state(*start))
+        })
+        .collect();
+    lanes.place(&arms);
+    for (lane, start) in starts {
+        tasks[*lane].begin(*start);
         outcomes[*lane] = Some(tasks[*lane].first_outcome(lanes.base_degrees(*lane)));
     }
 }
@@ -149,7 +154,7 @@ impl GroupStep<'_> {
         let mut starts = Vec::new();
         for (lane, task) in tasks.iter_mut().enumerate() {
             if task.stage() == Stage::Over {
-                starts.push((lane, task.draw()));
+                starts.push((lane, task.draw(None)));
             } else {
                 goals[lane] = task.command(actions[lane]);
                 steps[lane] = task.physics_steps();
@@ -170,7 +175,7 @@ impl GroupStep<'_> {
                 lanes.lengths_into(lane, &mut observation);
                 task.see(&mut observation);
                 lasts[lane] = Some(Last { observation, outcome });
-                starts.push((lane, task.draw()));
+                starts.push((lane, task.draw(None)));
             }
         }
         begin(lanes, tasks, outcomes, &starts);
@@ -251,11 +256,11 @@ impl EpisodeBatch {
 
     /// The settings of an episode.
     #[must_use]
-    pub fn config(&self, index: usize) -> &EpisodeConfig {
+    pub fn config(&self, index: usize) -> &CheckedConfig {
         self.tasks[index].config()
     }
 
-    /// The swing whose snapshots an episode begins from.
+    /// The swing of an episode's present body, from whose snapshots it begins.
     #[must_use]
     pub fn swing(&self, index: usize) -> &Swing {
         self.tasks[index].swing()
@@ -339,11 +344,7 @@ impl EpisodeBatch {
                 if let Some(seed) = seeds[lane] {
                     task.seed(seed);
                 }
-                let snapshot = match phase {
-                    Some(phase) => task.nearest(phase),
-                    None => task.draw(),
-                };
-                starts.push((lane, snapshot));
+                starts.push((lane, task.draw(phase)));
             }
             begin(lanes, tasks, outcomes, &starts);
             observe(lanes, tasks, rows, Some(mask));
@@ -440,7 +441,11 @@ impl EpisodeBatch {
         check_len("state.episodes", state.episodes.len(), self.len())?;
         let mut episodes = state.episodes.iter().zip(&self.tasks);
         episodes.try_for_each(|(episode, task)| episode.check(task))?;
-        self.arms.set_states(state.episodes.iter().map(|episode| &episode.arm))?;
+        let mut bodies: Vec<&Arm> = memory::reserved("a state", Some(self.len()))?;
+        bodies.extend(
+            self.tasks.iter().zip(&state.episodes).map(|(task, episode)| task.arm_of(episode.body)),
+        );
+        self.arms.set_arms(&bodies, state.episodes.iter().map(|episode| &episode.arm))?;
         for (task, episode) in self.tasks.iter_mut().zip(&state.episodes) {
             task.set_state(episode);
         }

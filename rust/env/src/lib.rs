@@ -30,6 +30,7 @@
 mod arm_batch;
 mod config;
 mod control;
+mod draw;
 mod episode;
 mod episode_batch;
 mod orbit;
@@ -51,6 +52,6 @@ pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
 pub use reward::{Reward, RewardTerms};
 pub use senses::Senses;
-pub use swing::{Snapshot, Swing, SwingRun};
+pub use swing::{Snapshot, Swing, SwingRun, Swings};
 pub use task::{EpisodeState, check_actions, check_step};
 pub use teacher::TeacherClock;

@@ -18,6 +18,8 @@ pub struct Outcome {
     pub target: [f64; 2],
     /// Distance between base and target \[degrees\].
     pub tracking_error: f64,
+    /// Body of the episode, one of those that were drawn.
+    pub body: usize,
     /// Reason for which the episode ended, if the arm left its domain.
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
@@ -31,6 +33,8 @@ pub enum Reading {
     Number(fn(&Outcome) -> f64),
     /// Two angles \[degrees\].
     Angles(fn(&Outcome) -> [f64; 2]),
+    /// A count, from 0.
+    Index(fn(&Outcome) -> usize),
     /// A flag.
     Flag(fn(&Outcome) -> bool),
     /// A text, which is mostly not there.
@@ -79,7 +83,7 @@ impl Outcome {
     ];
 
     /// What Gymnasium gives in the info.
-    pub const INFO: [Word; 6] = [
+    pub const INFO: [Word; 7] = [
         Word {
             name: "base_angles",
             reading: Reading::Angles(|outcome| outcome.base),
@@ -105,6 +109,11 @@ impl Outcome {
             name: "reward_action_change",
             reading: Reading::Number(|outcome| outcome.terms.action_change),
             bounds: |config, _| [least_change(config), Some(0.0)],
+        },
+        Word {
+            name: "body",
+            reading: Reading::Index(|outcome| outcome.body),
+            bounds: |config, _| [Some(0.0), Some(config.bodies as f64 - 1.0)],
         },
         Word {
             name: "failure",

@@ -3,11 +3,12 @@
 use std::collections::VecDeque;
 
 use octoarm_arm::{Interval, ParameterError};
-use rand_core::{Rng, SeedableRng};
+use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use crate::config::EpisodeConfig;
+use crate::draw::{choose, share};
 
 /// Sets the generator of disturbances apart from that of phases, which has the same seed.
 const APART: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -25,7 +26,7 @@ pub struct Senses {
 
 /// A number in [−1, 1).
 fn draw(generator: &mut Pcg64) -> f64 {
-    (generator.next_u64() >> 11) as f64 * (2.0 / (1u64 << 53) as f64) - 1.0
+    2.0 * share(generator) - 1.0
 }
 
 impl Senses {
@@ -71,9 +72,8 @@ impl Senses {
             let mut springs: Vec<usize> = (0..lengths.len()).collect();
             self.unseen.clear();
             for _ in 0..config.dropout.min(lengths.len()) {
-                // The high half of a 128-bit product, as where phases are drawn.
-                let product = u128::from(self.generator.next_u64()) * springs.len() as u128;
-                self.unseen.push(springs.swap_remove((product >> 64) as usize));
+                let spring = choose(&mut self.generator, springs.len());
+                self.unseen.push(springs.swap_remove(spring));
             }
             config.delay + 1
         } else {

@@ -12,7 +12,7 @@ use octoarm_arm::{
 };
 
 use crate::config::{CheckedConfig, EpisodeConfig};
-use crate::control::control_step;
+use crate::control::control_step_of_lanes;
 use crate::orbit::{Orbit, Target};
 use crate::teacher::TeacherClock;
 
@@ -22,8 +22,10 @@ const RAMP: f64 = 1.0;
 const SETTLE: f64 = 12.0;
 /// Snapshots of a swing, one a control period.
 const SNAPSHOTS: usize = 256;
-/// Swings kept for environments that will be made later.
+/// Configurations whose swings are kept for environments that will be made later.
 const KEPT: usize = 8;
+/// Bodies that swing side by side.
+const WIDTH: usize = ArmLanes::WIDTH;
 
 /// Where an episode may begin.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,7 +58,12 @@ fn ramp(x: f64) -> f64 {
 }
 
 /// The refusal of a target that takes the arm out of its domain.
-fn unable(config: &EpisodeConfig, orbit: &Orbit, failure: &DomainError) -> ParameterError {
+fn unable(
+    config: &EpisodeConfig,
+    orbit: &Orbit,
+    body: usize,
+    failure: &DomainError,
+) -> ParameterError {
     let (name, value) = match &config.target {
         Target::Named(_) => ("amplitude", orbit.amplitude().to_string()),
         Target::Samples(rows) => (
@@ -70,35 +77,43 @@ fn unable(config: &EpisodeConfig, orbit: &Orbit, failure: &DomainError) -> Param
             ),
         ),
     };
-    let range = format!("of targets that this body can be swung along: {failure}");
+    let which = if config.vary.is_empty() {
+        "this body".to_owned()
+    } else {
+        format!("body {body} of those that are drawn (vary, body_seed)")
+    };
+    let range = format!("of targets that {which} can be swung along: {failure}");
     ParameterError::out_of_range(name, value, range)
 }
 
-/// What a swing depends on.
+/// What swings depend on.
 #[derive(PartialEq)]
 struct Key {
     target: Target,
     amplitude: Option<f64>,
     control_period: f64,
     actuator: Actuator,
-    arm: ArmParameters,
+    bodies: Vec<ArmParameters>,
 }
 
 impl Key {
-    fn of(config: &EpisodeConfig) -> Self {
+    fn of(config: &CheckedConfig) -> Self {
         Self {
             target: config.target.clone(),
             amplitude: config.amplitude,
             control_period: config.control_period,
             actuator: config.actuator,
-            arm: config.arm.clone(),
+            bodies: config.drawn_bodies().to_vec(),
         }
     }
 }
 
-/// The swings that are kept, the one that was asked for last at the end.
-fn shared() -> MutexGuard<'static, Vec<(Key, Arc<Swing>)>> {
-    static SHARED: Mutex<Vec<(Key, Arc<Swing>)>> = Mutex::new(Vec::new());
+/// The swings of a configuration, one a body.
+pub type Swings = Arc<[Swing]>;
+
+/// The swings that are kept, those that were asked for last at the end.
+fn shared() -> MutexGuard<'static, Vec<(Key, Swings)>> {
+    static SHARED: Mutex<Vec<(Key, Swings)>> = Mutex::new(Vec::new());
     SHARED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -108,13 +123,14 @@ fn lead_in(config: &EpisodeConfig) -> f64 {
 }
 
 impl Swing {
-    /// Physics steps that [`Swing::new`] makes for valid settings.
+    /// Physics steps that the swings of valid settings take: those of one body for each.
     #[must_use]
     pub fn physics_steps(config: &EpisodeConfig) -> f64 {
-        (lead_in(config) + SNAPSHOTS as f64 - 1.0) * f64::from(config.physics_steps())
+        let periods = lead_in(config) + SNAPSHOTS as f64 - 1.0;
+        periods * f64::from(config.physics_steps()) * config.bodies as f64
     }
 
-    /// Memory that a swing of valid settings takes, with the settings themselves, rounded up \[bytes\].
+    /// Memory that the swings of valid settings take, with the settings themselves, rounded up \[bytes\].
     #[must_use]
     pub fn bytes(config: &EpisodeConfig) -> usize {
         let compartments = config.arm.compartments;
@@ -128,122 +144,154 @@ impl Swing {
         };
         SNAPSHOTS
             .saturating_mul(snapshot)
-            .saturating_add(rows.saturating_mul(size_of::<[f64; 2]>()))
             .saturating_add(ArmLanes::bytes(compartments))
+            .saturating_mul(config.bodies)
+            .saturating_add(rows.saturating_mul(size_of::<[f64; 2]>()))
     }
 
-    /// The swing of a configuration, if it is kept from before.
+    /// The swings of a configuration, if they are kept from before.
     #[must_use]
-    pub fn kept(config: &CheckedConfig) -> Option<Arc<Self>> {
+    pub fn kept(config: &CheckedConfig) -> Option<Swings> {
         let key = Key::of(config);
         let mut shared = shared();
         let at = shared.iter().position(|(known, _)| *known == key)?;
         let entry = shared.remove(at);
-        let swing = Arc::clone(&entry.1);
+        let swings = Arc::clone(&entry.1);
         shared.push(entry);
-        Some(swing)
+        Some(swings)
     }
 
-    /// The swing of a configuration; computed once, then shared by every environment that asks for it.
+    /// The swings of a configuration; computed once, then shared by every environment that asks.
     ///
     /// # Errors
-    /// [`ParameterError`] for a body without a rest state, or a target that takes the arm out of its
+    /// [`ParameterError`] for a body without a rest state, or a target that takes an arm out of its
     /// domain.
-    pub fn shared(config: &CheckedConfig) -> Result<Arc<Self>, ParameterError> {
-        if let Some(swing) = Self::kept(config) {
-            return Ok(swing);
+    pub fn shared(config: &CheckedConfig) -> Result<Swings, ParameterError> {
+        if let Some(swings) = Self::kept(config) {
+            return Ok(swings);
         }
         let mut run = SwingRun::new(config)?;
         while run.advance()? {}
         Ok(run.keep())
     }
-
-    /// Forces the arm onto the orbit and records it.
-    ///
-    /// # Errors
-    /// As [`Swing::shared`].
-    pub fn new(config: &CheckedConfig) -> Result<Self, ParameterError> {
-        let mut run = SwingRun::new(config)?;
-        while run.advance()? {}
-        Ok(run.finish())
-    }
 }
 
-/// A swing in the making, a control period at a time, so that others can have their turn in between.
+/// Swings in the making, a control period of eight bodies at a time, so that others can have their turn
+/// in between.
 #[derive(Debug)]
 pub struct SwingRun {
     config: CheckedConfig,
-    swing: Swing,
-    arm: Arm,
+    /// Those that are done, and those under way, whose snapshots are fewer.
+    swings: Vec<Swing>,
+    /// The bodies under way, the last ones of the swings.
+    lanes: Option<ArmLanes>,
+    orbit: Arc<Orbit>,
+    clock: TeacherClock,
     lead_in: i64,
     tick: i64,
     base: [f64; 4],
 }
 
 impl SwingRun {
-    /// The arm at rest.
+    /// The first arm at rest.
     ///
     /// # Errors
     /// [`ParameterError`] for a body without a rest state.
     pub fn new(config: &CheckedConfig) -> Result<Self, ParameterError> {
         let orbit = Arc::new(config.orbit()?);
-        let clock = TeacherClock::new(config, Arc::clone(&orbit));
-        let mut resting = config.undeformed_arm().clone();
-        resting.reset()?;
-        let lead_in = lead_in(config) as i64;
-        Ok(Self {
+        let mut run = Self {
             config: config.clone(),
-            arm: resting.clone(),
-            swing: Swing { orbit, clock, snapshots: Vec::with_capacity(SNAPSHOTS), arm: resting },
-            lead_in,
-            tick: -lead_in,
+            swings: Vec::with_capacity(config.bodies),
+            lanes: None,
+            clock: TeacherClock::new(config, Arc::clone(&orbit)),
+            orbit,
+            lead_in: lead_in(config) as i64,
+            tick: 0,
             base: [0.0; 4],
-        })
+        };
+        run.rest_next()?;
+        Ok(run)
     }
 
-    /// Goes on by a control period; false when there is none left.
+    /// The next body comes to rest.
+    fn rest_next(&mut self) -> Result<(), ParameterError> {
+        let body = self.config.drawn_bodies()[self.swings.len()].clone();
+        let mut arm = Arm::undeformed(body, self.config.actuator)?;
+        arm.reset()?;
+        self.swings.push(Swing {
+            orbit: Arc::clone(&self.orbit),
+            clock: self.clock.clone(),
+            snapshots: Vec::with_capacity(SNAPSHOTS),
+            arm,
+        });
+        Ok(())
+    }
+
+    /// Goes on by a control period, or brings another body to rest; false when there is nothing left.
     ///
     /// # Errors
-    /// [`ParameterError`] for a target that takes the arm out of its domain.
+    /// [`ParameterError`] for a body without a rest state, or a target that takes an arm out of its
+    /// domain.
     pub fn advance(&mut self) -> Result<bool, ParameterError> {
-        if self.tick >= SNAPSHOTS as i64 - 1 {
-            return Ok(false);
+        let (known, bodies) = (self.swings.len(), self.config.bodies);
+        let first = (known - 1) / WIDTH * WIDTH;
+        let Some(lanes) = &mut self.lanes else {
+            let swung = self.swings[known - 1].snapshots.len() == SNAPSHOTS;
+            if swung && known == bodies {
+                return Ok(false);
+            }
+            if known < bodies && (swung || known < first + WIDTH) {
+                self.rest_next()?;
+                return Ok(true);
+            }
+            let arms: Vec<&Arm> = self.swings[first..].iter().map(|swing| &swing.arm).collect();
+            self.lanes = Some(ArmLanes::new(&arms)?);
+            (self.tick, self.base) = (-self.lead_in, [0.0; 4]);
+            return Ok(true);
+        };
+        if self.tick < SNAPSHOTS as i64 - 1 {
+            poll()?;
+            let config = &self.config;
+            let elapsed = (self.tick + 1 + self.lead_in) as f64 * config.control_period;
+            let goal = self.clock.target(self.tick + 1).map(|angle| angle * ramp(elapsed / RAMP));
+            let (command, end) = self.clock.command_towards(goal, self.base);
+            let mut steps = [0; WIDTH];
+            steps[..lanes.len()].fill(config.physics_steps());
+            let failures = control_step_of_lanes(lanes, &[command; WIDTH], &steps);
+            if let Some((lane, failure)) = failures
+                .iter()
+                .enumerate()
+                .find_map(|(lane, failure)| failure.as_ref().map(|failure| (lane, failure)))
+            {
+                return Err(unable(config, &self.orbit, first + lane, failure));
+            }
+            self.base = end;
+            self.tick += 1;
+            if self.tick >= 0 {
+                for (lane, swing) in self.swings[first..].iter_mut().enumerate() {
+                    swing.snapshots.push(Snapshot {
+                        arm: ArmState { steps: 0, ..lanes.state(lane) },
+                        undisturbed: end,
+                        command,
+                    });
+                }
+            }
+            return Ok(true);
         }
-        let (config, tick) = (&self.config, self.tick);
-        let elapsed = (tick + 1 + self.lead_in) as f64 * config.control_period;
-        let goal = self.swing.clock.target(tick + 1).map(|angle| angle * ramp(elapsed / RAMP));
-        let (command, end) = self.swing.clock.command_towards(goal, self.base);
-        if let Some(failure) = control_step(&mut self.arm, command, config.physics_steps(), poll)? {
-            return Err(unable(config, &self.swing.orbit, &failure));
-        }
-        self.base = end;
-        if tick + 1 >= 0 {
-            self.swing.snapshots.push(Snapshot {
-                arm: ArmState { steps: 0, ..self.arm.state() },
-                undisturbed: self.base,
-                command,
-            });
-        }
-        self.tick += 1;
-        Ok(true)
+        self.lanes = None;
+        Ok(known < bodies)
     }
 
-    /// The swing, when [`SwingRun::advance`] has come to its end.
+    /// The swings, when [`SwingRun::advance`] has come to its end, kept for whoever asks for them with
+    /// [`Swing::shared`].
     #[must_use]
-    pub fn finish(self) -> Swing {
-        self.swing
-    }
-
-    /// The same, kept for whoever asks for it with [`Swing::shared`].
-    #[must_use]
-    pub fn keep(self) -> Arc<Swing> {
-        let key = Key::of(&self.config);
-        let swing = Arc::new(self.finish());
+    pub fn keep(self) -> Swings {
+        let swings: Swings = self.swings.into();
         let mut shared = shared();
         if shared.len() >= KEPT {
             shared.remove(0);
         }
-        shared.push((key, Arc::clone(&swing)));
-        swing
+        shared.push((Key::of(&self.config), Arc::clone(&swings)));
+        swings
     }
 }

@@ -1,17 +1,16 @@
 //! The rules of an episode apart from the arm that it moves: what is commanded, earned and drawn.
 
-use std::sync::Arc;
-
-use octoarm_arm::{ArmState, DomainError, Interval, ParameterError};
-use rand_core::{Rng, SeedableRng};
+use octoarm_arm::{Arm, ArmState, DomainError, Interval, ParameterError};
+use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use crate::config::CheckedConfig;
+use crate::draw::choose;
 use crate::outcome::Outcome;
 use crate::reward::Reward;
 use crate::senses::Senses;
-use crate::swing::{Snapshot, Swing};
+use crate::swing::{Snapshot, Swing, Swings};
 
 /// How far an episode is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,9 +46,25 @@ pub struct EpisodeState {
     pub elapsed: u64,
     /// Generator that draws the phases of the next resets.
     pub generator: Pcg64,
+    /// Body of the episode, one of those that were drawn.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub body: usize,
     /// Of the disturbances, where there are any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub senses: Option<Senses>,
+}
+
+// By reference, as serde calls it.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_first(body: &usize) -> bool {
+    *body == 0
+}
+
+/// Where an episode begins: with a body, at a snapshot of its swing.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Start {
+    pub(crate) body: usize,
+    pub(crate) snapshot: usize,
 }
 
 /// Largest control instant of a saved state: every one up to it is a double.
@@ -60,7 +75,11 @@ const WIDEST: f64 = 1e9;
 impl EpisodeState {
     /// Checks what is not the arm's; a state may come from anywhere.
     pub(crate) fn check(&self, task: &Task) -> Result<(), ParameterError> {
-        let springs = task.swing.arm.observation_len();
+        let springs = task.swing().arm.observation_len();
+        if self.body >= task.swings.len() {
+            let range = format!("[0, {}]", task.swings.len() - 1);
+            return Err(ParameterError::out_of_range("body", self.body, range));
+        }
         Senses::check(self.senses.as_ref(), &task.config, springs)?;
         if self.tick.unsigned_abs() > LATEST {
             let range = format!("[-{LATEST}, {LATEST}]");
@@ -79,7 +98,8 @@ impl EpisodeState {
 #[derive(Clone, Debug)]
 pub(crate) struct Task {
     config: CheckedConfig,
-    swing: Arc<Swing>,
+    swings: Swings,
+    body: usize,
     reward: Reward,
     action_range: f64,
     physics_steps: u32,
@@ -103,8 +123,8 @@ impl Task {
             let range = "of positive numbers";
             return Err(ParameterError::out_of_range("max_episode_steps", 0, range));
         }
-        let swing = Swing::shared(&config)?;
-        let amplitude = swing.orbit.amplitude();
+        let swings = Swing::shared(&config)?;
+        let amplitude = swings[0].orbit.amplitude();
         let reward = config.reward(amplitude);
         // The tracking error is divided by it; a product of two positive numbers may be too small.
         if !reward.width.is_normal() {
@@ -125,7 +145,8 @@ impl Task {
             generator: Pcg64::seed_from_u64(0),
             senses: Senses::of(&config),
             config,
-            swing,
+            swings,
+            body: 0,
         })
     }
 
@@ -133,8 +154,14 @@ impl Task {
         &self.config
     }
 
+    /// The swing of this body.
     pub(crate) fn swing(&self) -> &Swing {
-        &self.swing
+        &self.swings[self.body]
+    }
+
+    /// An arm of a body, at rest.
+    pub(crate) fn arm_of(&self, body: usize) -> &Arm {
+        &self.swings[body].arm
     }
 
     /// Base angle of an action of 1 \[degrees\].
@@ -167,28 +194,35 @@ impl Task {
         }
     }
 
-    /// A snapshot at random.
-    pub(crate) fn draw(&mut self) -> usize {
-        let count = self.swing.snapshots.len() as u128;
-        // The high half of a 128-bit product: uniform to 2⁻⁵⁶ for 256 snapshots.
-        ((u128::from(self.generator.next_u64()) * count) >> 64) as usize
+    /// A body at random, and a snapshot of its swing: at random too, or the nearest to a phase in turns,
+    /// 0 to 1.
+    pub(crate) fn draw(&mut self, phase: Option<f64>) -> Start {
+        let bodies = self.swings.len();
+        let body = if bodies > 1 { choose(&mut self.generator, bodies) } else { 0 };
+        let snapshot = match phase {
+            Some(phase) => self.nearest(phase),
+            None => choose(&mut self.generator, self.swings[body].snapshots.len()),
+        };
+        Start { body, snapshot }
     }
 
-    /// The snapshot nearest to a phase in turns, 0 to 1.
-    pub(crate) fn nearest(&self, phase: f64) -> usize {
-        let turns_a_tick = self.config.control_period / self.swing.orbit.period();
+    /// The snapshot nearest to a phase; of all swings the same, since they have one orbit.
+    fn nearest(&self, phase: f64) -> usize {
+        let turns_a_tick = self.config.control_period / self.swing().orbit.period();
         let distance = |index: &usize| {
             let difference = (*index as f64 * turns_a_tick - phase).rem_euclid(1.0);
             difference.min(1.0 - difference)
         };
-        let snapshots = 0..self.swing.snapshots.len();
+        let snapshots = 0..self.swing().snapshots.len();
         snapshots.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     }
 
-    /// Begins an episode at a snapshot, into whose state the arm must be put.
-    pub(crate) fn begin(&mut self, index: usize) {
-        let Snapshot { undisturbed, command, .. } = self.swing.snapshots[index];
-        self.tick = index as i64;
+    /// Begins an episode with a body at a snapshot, into whose state the arm must be put.
+    pub(crate) fn begin(&mut self, start: Start) {
+        let Snapshot { undisturbed, command, .. } =
+            self.swings[start.body].snapshots[start.snapshot];
+        self.body = start.body;
+        self.tick = start.snapshot as i64;
         self.undisturbed = undisturbed;
         self.action = self.as_action(command);
         self.stage = Stage::Running;
@@ -217,9 +251,9 @@ impl Task {
         }
     }
 
-    /// The arm's state at a snapshot.
-    pub(crate) fn start(&self, index: usize) -> &ArmState {
-        &self.swing.snapshots[index].arm
+    /// The state of the arm at the begin of an episode.
+    pub(crate) fn first_state(&self, start: Start) -> &ArmState {
+        &self.swings[start.body].snapshots[start.snapshot].arm
     }
 
     /// What a reset brought.
@@ -233,7 +267,7 @@ impl Task {
 
     /// What the clock commands now, as a fraction of the action range.
     pub(crate) fn teacher_action(&self) -> [f64; 2] {
-        self.as_action(self.swing.clock.command(self.tick, self.undisturbed).0)
+        self.as_action(self.swing().clock.command(self.tick, self.undisturbed).0)
     }
 
     /// The action before; after a reset, that of the swing.
@@ -257,7 +291,7 @@ impl Task {
         base: [f64; 2],
         failure: Option<DomainError>,
     ) -> Outcome {
-        self.undisturbed = self.swing.clock.command(self.tick, self.undisturbed).1;
+        self.undisturbed = self.swing().clock.command(self.tick, self.undisturbed).1;
         self.tick += 1;
         let before = std::mem::replace(&mut self.action, action);
         self.elapsed = self.elapsed.saturating_add(1);
@@ -271,14 +305,23 @@ impl Task {
     }
 
     fn outcome(&self, before: [f64; 2], base: [f64; 2], failure: Option<DomainError>) -> Outcome {
-        let target = self.swing.clock.target(self.tick);
+        let target = self.swing().clock.target(self.tick);
         let (x, y) = (base[0] - target[0], base[1] - target[1]);
         let tracking_error = (x * x + y * y).sqrt();
         let mut terms = self.reward.terms(tracking_error, self.action, before);
         if failure.is_some() {
             terms.tracking = 0.0;
         }
-        Outcome { reward: 0.0, terms, base, target, tracking_error, failure, truncated: false }
+        Outcome {
+            reward: 0.0,
+            terms,
+            base,
+            target,
+            tracking_error,
+            body: self.body,
+            failure,
+            truncated: false,
+        }
     }
 
     pub(crate) fn state(&self, arm: ArmState) -> EpisodeState {
@@ -291,6 +334,7 @@ impl Task {
             over: self.stage == Stage::Over,
             elapsed: self.elapsed,
             generator: self.generator.clone(),
+            body: self.body,
             senses: self.senses.clone(),
         }
     }
@@ -306,6 +350,7 @@ impl Task {
         };
         self.elapsed = state.elapsed;
         self.generator = state.generator.clone();
+        self.body = state.body;
         self.senses.clone_from(&state.senses);
     }
 }

@@ -75,6 +75,14 @@ pub(crate) fn limit_cycle_signal<'py>(
     table(py, signal.into_flattened(), 2)
 }
 
+/// Parameters of the bodies that episodes of these settings are made with, as JSON.
+#[pyfunction]
+pub(crate) fn drawn_bodies(config: &str) -> PyResult<Vec<String>> {
+    let config = EpisodeConfig::from_json(config).and_then(EpisodeConfig::checked);
+    let config = config.map_err(invalid)?;
+    config.drawn_bodies().iter().map(|body| body.to_json().map_err(invalid)).collect()
+}
+
 impl Episode {
     fn observation<'py>(&self, py: Python<'py>) -> Vector<'py> {
         self.inner.observation().into_pyarray(py)
@@ -85,7 +93,9 @@ impl Episode {
 /// of them for a dtype.
 fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
     static NUMBER: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    static INDEX: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let number = NUMBER.import(py, "numpy", "float64")?;
+    let index = INDEX.import(py, "numpy", "int64")?;
     let info = PyDict::new(py);
     for word in Outcome::INFO {
         match word.reading {
@@ -93,6 +103,7 @@ fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>>
             Reading::Angles(read) => {
                 info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
             }
+            Reading::Index(read) => info.set_item(word.name, index.call1((read(outcome),))?)?,
             Reading::Flag(read) => info.set_item(word.name, read(outcome))?,
             Reading::Text(read) => {
                 if let Some(text) = read(outcome) {

@@ -50,6 +50,11 @@ fn infos<'py>(py: Python<'py>, outcomes: &[Option<&Outcome>]) -> PyResult<Infos<
                 let values = some().flat_map(|outcome| outcome.map_or([0.0; 2], read)).collect();
                 infos.set_item(name, table(py, values, 2)?)?;
             }
+            Reading::Index(read) => {
+                let index = |outcome| read(outcome) as i64;
+                let values: Vec<i64> = some().map(|outcome| outcome.map_or(0, index)).collect();
+                infos.set_item(name, values.into_pyarray(py))?;
+            }
             Reading::Flag(read) => {
                 let values: Vec<bool> = some().map(|outcome| outcome.is_some_and(read)).collect();
                 infos.set_item(name, values.into_pyarray(py))?;
@@ -256,7 +261,7 @@ impl EpisodeBatch {
     fn joints<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Joints<'py>> {
         self.check_index(index)?;
         let state = self.inner.arms().state(index);
-        joints_array(py, state.joints(&self.inner.config(index).arm))
+        joints_array(py, state.joints(self.inner.swing(index).arm.parameters()))
     }
 }
 

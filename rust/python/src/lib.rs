@@ -20,7 +20,7 @@ mod _core {
     #[pymodule_export]
     use crate::episode::Episode;
     #[pymodule_export]
-    use crate::episode::{check_step, limit_cycle_orbit, limit_cycle_signal};
+    use crate::episode::{check_step, drawn_bodies, limit_cycle_orbit, limit_cycle_signal};
     #[pymodule_export]
     use crate::episode_batch::{EpisodeBatch, check_actions};
     #[pymodule_export]

@@ -147,6 +147,7 @@ fn read(word: Word, outcomes: &[&Outcome], shape: &[i32]) -> Tensor {
     match word.reading {
         Reading::Number(read) => tensor::doubles(outcomes.map(read).collect(), shape),
         Reading::Angles(read) => tensor::doubles(outcomes.flat_map(read).collect(), shape),
+        Reading::Index(read) => tensor::integers(outcomes.map(read), shape),
         Reading::Flag(read) => tensor::bools(outcomes.map(read).collect(), shape),
         Reading::Text(read) => {
             let texts = outcomes.map(|outcome| read(outcome).unwrap_or_default());

@@ -50,7 +50,7 @@ impl Property {
     /// Those of the server.
     const UNIVERSAL: [Self; 2] = [P::Version, P::Worlds];
     /// Those of any joined world.
-    const JOINED: [Self; 18] = [
+    const JOINED: [Self; 19] = [
         P::Settings,
         P::ActionRange,
         P::Amplitude,
@@ -64,6 +64,7 @@ impl Property {
         P::Word(2),
         P::Word(3),
         P::Word(4),
+        P::Word(5),
         P::Begun,
         P::Ended,
         P::Seed,
@@ -231,6 +232,7 @@ fn word(word: Word, episodes: &Episodes) -> Answer<Tensor> {
         Reading::Angles(read) => {
             Ok(tensor::doubles(outcomes.flat_map(read).collect(), &rows(episodes, &[2])))
         }
+        Reading::Index(read) => Ok(tensor::integers(outcomes.map(read), &rows(episodes, &[]))),
         Reading::Flag(_) | Reading::Text(_) => {
             Err(Refusal::new(Code::PermissionDenied, format!("{} cannot be read", word.name)))
         }

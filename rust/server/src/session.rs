@@ -72,26 +72,27 @@ fn made(
 ) -> Answer<Option<Environment>> {
     let Some(wanted) = settings else { return Err(failed()) };
     let config = &wanted.config;
-    if let Some(run) = run {
-        if run.advance()? {
-            return Ok(None);
-        }
-    } else if Swing::kept(config).is_none() {
+    if run.is_some() || Swing::kept(config).is_none() {
         let begin = Instant::now();
         let late = move || begin.elapsed() > LONGEST_SEARCH;
-        let begun = octoarm_arm::interruptible(late, || SwingRun::new(config));
-        *run = Some(begun.map_err(|error| match error {
+        let goes_on = octoarm_arm::interruptible(late, || match run {
+            Some(run) => run.advance(),
+            None => SwingRun::new(config).map(|begun| run.insert(begun)).map(|_| true),
+        });
+        let goes_on = goes_on.map_err(|error| match error {
             ParameterError::Interrupted => Refusal::exhausted(format!(
                 "the rest state of this body was not found within {} s",
                 LONGEST_SEARCH.as_secs()
             )),
             error => error.into(),
-        })?);
-        return Ok(None);
+        })?;
+        if goes_on {
+            return Ok(None);
+        }
     }
-    let swing = run.take().map(SwingRun::keep);
+    let swings = run.take().map(SwingRun::keep);
     let environment = settings.take().map(Environment::new).transpose()?;
-    drop(swing);
+    drop(swings);
     Ok(environment)
 }
 

@@ -49,6 +49,7 @@ impl Observation {
         match self {
             Self::Word(word) | Self::Final(word) => match word.reading {
                 Reading::Flag(_) => DataType::Bool,
+                Reading::Index(_) => DataType::Int64,
                 Reading::Text(_) => DataType::String,
                 Reading::Number(_) | Reading::Angles(_) => DataType::Double,
             },

@@ -43,6 +43,12 @@ pub(crate) fn integer(value: i64) -> Tensor {
     Tensor { payload: Some(Payload::Int64s(Int64Array { array: vec![value] })), shape: Vec::new() }
 }
 
+/// Counts, in so many rows.
+pub(crate) fn integers(values: impl Iterator<Item = usize>, shape: &[i32]) -> Tensor {
+    let array = values.map(|value| value as i64).collect();
+    Tensor { payload: Some(Payload::Int64s(Int64Array { array })), shape: shape.to_vec() }
+}
+
 /// One integer that is not negative.
 pub(crate) fn unsigned(value: u64) -> Tensor {
     Tensor {

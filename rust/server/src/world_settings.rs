@@ -16,6 +16,8 @@ use crate::tensor::to_json;
 const MAX_EPISODE_STEPS: u64 = 500;
 /// Before the name of a parameter of the body.
 const ARM: &str = "arm.";
+/// Before the name of a parameter of the body that varies.
+const VARY: &str = "vary.";
 /// Most numbers of any setting but a target.
 const FEW: usize = 16;
 /// Most rows of a target: a period of 65 s at 1 ms.
@@ -104,7 +106,8 @@ fn known() -> &'static BTreeSet<String> {
         let body = names(serde_json::to_value(ArmParameters::default()));
         names(serde_json::to_value(EpisodeConfig::default()))
             .into_iter()
-            .chain(body.into_iter().map(|name| format!("{ARM}{name}")))
+            .filter(|name| name != "vary")
+            .chain(body.iter().flat_map(|name| [ARM, VARY].map(|before| format!("{before}{name}"))))
             .chain(FRAME.map(str::to_owned))
             .collect()
     });
@@ -119,7 +122,7 @@ pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
 /// Memory of an arm's episode beside that of the arm itself \[bytes\].
 const EPISODE_BYTES: usize = 1 << 10;
 
-/// Memory that a world takes, rounded up \[bytes\]: with its own swing, though worlds that are alike share
+/// Memory that a world takes, rounded up \[bytes\]: with its own swings, though worlds that are alike share
 /// one.
 pub(crate) fn memory(settings: &WorldSettings) -> usize {
     let (config, arms) = (&settings.config, settings.num_envs.unwrap_or(1));
@@ -145,6 +148,7 @@ impl WorldSettings {
         limits: &Limits,
     ) -> Answer<Self> {
         let (mut config, mut frame, mut arm) = (Map::new(), Map::new(), Map::new());
+        let mut vary = Map::new();
         if let Some(name) = tensors.keys().find(|name| !known().contains(*name)) {
             let known: Vec<&str> = known().iter().map(String::as_str).collect();
             return Err(Refusal::invalid(format!(
@@ -163,6 +167,8 @@ impl WorldSettings {
                 frame.insert(name.clone(), value);
             } else if let Some(parameter) = name.strip_prefix(ARM) {
                 arm.insert(parameter.to_owned(), value);
+            } else if let Some(parameter) = name.strip_prefix(VARY) {
+                vary.insert(parameter.to_owned(), value);
             } else {
                 if name == "target" {
                     check_target(&value)?;
@@ -173,6 +179,7 @@ impl WorldSettings {
         if !arm.is_empty() {
             config.insert("arm".to_owned(), Value::Object(arm));
         }
+        config.insert("vary".to_owned(), Value::Object(vary));
         let config = read_fields::<EpisodeConfig, _>(Value::Object(config))?.checked()?;
 
         let seed = frame.get("seed").map(seed).transpose()?;
@@ -198,13 +205,14 @@ impl WorldSettings {
         let swing = Swing::physics_steps(&config);
         for (what, steps) in [
             ("a step of this world", period * num_envs.unwrap_or(1) as f64),
-            ("the swing that its episodes begin from", swing),
+            ("the swings that its episodes begin from", swing),
         ] {
             let steps = (weight * steps).ceil();
             if steps > limits.max_physics_steps as f64 {
                 return Err(Refusal::exhausted(format!(
                     "{what} would take {steps} physics steps of an arm of {USUAL_COMPARTMENTS} \
-                     compartments (by control_period, arm.timestep, arm.compartments, num_envs); \
+                     compartments (by control_period, arm.timestep, arm.compartments, num_envs, \
+                     bodies); \
                      this server allows {} a request",
                     limits.max_physics_steps
                 )));

@@ -1,6 +1,6 @@
 //! What an evaluation reads and does not change: the body's parameters, in rows.
 
-use super::rows::{Block, Row};
+use super::rows::{Block, Row, WIDTH, place};
 use crate::parameters::{ArmParameters, ReferenceArea, VolumeForce};
 
 /// Parameters that are the same for every compartment of an arm, one row each.
@@ -29,6 +29,60 @@ pub(crate) struct Material {
     pub(crate) lift_scale: Row,
     pub(crate) drag_coefficients: [Row; 5],
     pub(crate) lift_coefficients: [Row; 5],
+}
+
+/// All rows of a material, by reference.
+macro_rules! rows_of {
+    ($material:expr) => {{
+        let Self {
+            rest_length,
+            longitudinal_stiffness,
+            longitudinal_damping,
+            transverse_stiffness,
+            transverse_damping,
+            longitudinal_volume_gain,
+            transverse_volume_gain,
+            total,
+            applied,
+            joint_mass,
+            inverse_joint_mass,
+            plane_mass,
+            plane_inertia,
+            net_density,
+            pressure_area,
+            lift_scale,
+            drag_coefficients: [d0, d1, d2, d3, d4],
+            lift_coefficients: [l0, l1, l2, l3, l4],
+        } = $material;
+        [
+            rest_length,
+            longitudinal_stiffness,
+            longitudinal_damping,
+            transverse_stiffness,
+            transverse_damping,
+            longitudinal_volume_gain,
+            transverse_volume_gain,
+            total,
+            applied,
+            joint_mass,
+            inverse_joint_mass,
+            plane_mass,
+            plane_inertia,
+            net_density,
+            pressure_area,
+            lift_scale,
+            d0,
+            d1,
+            d2,
+            d3,
+            d4,
+            l0,
+            l1,
+            l2,
+            l3,
+            l4,
+        ]
+    }};
 }
 
 impl Material {
@@ -64,6 +118,20 @@ impl Material {
             drag_coefficients: coefficients(|arm| &arm.drag_coefficients),
             lift_coefficients: coefficients(|arm| &arm.lift_coefficients),
         }
+    }
+
+    /// Gives one of `L` lanes the material of an arm alone.
+    fn set_lane<const L: usize>(&mut self, lane: usize, alone: &Self) {
+        for (row, alone) in rows_of!(self).into_iter().zip(rows_of!(alone)) {
+            set_lane::<L>(row, lane, alone);
+        }
+    }
+}
+
+/// Gives the slots of one of `L` lanes what an arm alone has in all of them.
+pub(crate) fn set_lane<const L: usize>(row: &mut Row, lane: usize, alone: &Row) {
+    for slot in row.iter_mut().skip(lane).step_by(L) {
+        *slot = alone[0];
     }
 }
 
@@ -102,4 +170,23 @@ pub(crate) struct Body<const L: usize> {
     /// memory that a foreign allocator aligned for ordinary numbers only.
     pub(crate) material: Box<Material>,
     pub(crate) rest: Vec<Rest>,
+}
+
+impl<const L: usize> Body<L> {
+    /// Gives a lane the body of an arm alone, with as many compartments.
+    pub(crate) fn set_lane(&mut self, lane: usize, alone: &Body<1>) {
+        for (row, alone) in self.base.0.iter_mut().zip(&alone.base.0) {
+            set_lane::<L>(row, lane, alone);
+        }
+        self.material.set_lane::<L>(lane, &alone.material);
+        for (chunk, rest) in self.rest.iter_mut().enumerate() {
+            for slot in (lane..WIDTH).step_by(L) {
+                // Slots beyond the tip hold a compartment like the last.
+                let compartment = ((chunk * WIDTH + slot) / L).min(self.compartments - 1);
+                let (from, at) = place::<1>(compartment);
+                rest.radius[slot] = alone.rest[from].radius[at];
+                rest.volume[slot] = alone.rest[from].volume[at];
+            }
+        }
+    }
 }

@@ -43,7 +43,7 @@ mod springs;
 mod water;
 
 pub(crate) use articulated::Travel as InertiaTravel;
-pub(crate) use body::{Body, Material, Rest, lane_row};
+pub(crate) use body::{Body, Material, Rest, lane_row, set_lane};
 pub(crate) use evaluation::{STRETCH, Workspace, accelerations, inward, outward, spring_lengths};
 pub(crate) use kinematics::{BaseFrame, Travel as MotionTravel};
 pub(crate) use rows::{Block, Lengths, Muscles, Row, WIDTH, place};
