@@ -169,4 +169,4 @@ def _record(
 
 def _numbers(infos: dict[str, Any]) -> dict[str, Any]:
     """What every step tells: no reason of a failure, and no mark of whom an info is about."""
-    return {key: each for key, each in infos.items() if each.dtype == np.float64}
+    return {key: each for key, each in infos.items() if each.dtype.kind in "fi"}

@@ -290,11 +290,12 @@ def make_sb3_vec_env(num_envs: int, *, seed: int | None = None, **kwargs: Any) -
     return wrapped
 
 
-def _rows(infos: Info, count: int, start: Info | None = None) -> list[Info]:
+def _rows(infos: Info, count: int, start: Info | None = None, kept: str = "fi") -> list[Info]:
     """Turn a dictionary of arrays with masks into `count` dictionaries of values.
 
     Infos are as `VectorEnv._add_info` makes them: entry i of `infos[key]` belongs to environment i
-    if `infos["_" + key][i]`, or if there is no such mask. `start` is in every dictionary.
+    if `infos["_" + key][i]`, or if there is no such mask. `start` is in every dictionary; numbers
+    of the kinds `kept` stay NumPy's.
     """
     rows = [dict(start or {}) for _ in range(count)]
     for key, values in infos.items():
@@ -302,10 +303,11 @@ def _rows(infos: Info, count: int, start: Info | None = None) -> list[Info]:
             continue
         column: list[Any]
         if isinstance(values, dict):
-            column = _rows(values, count)
+            # A wrapper's: counts are Python's there.
+            column = _rows(values, count, kept="f")
         elif values.ndim == 1:
-            # Floating-point numbers stay NumPy's, as the single environments give them.
-            column = list(values) if values.dtype.kind == "f" else values.tolist()
+            # Numbers stay NumPy's, as the single environments give them.
+            column = list(values) if values.dtype.kind in kept else values.tolist()
         else:
             column = list(values.copy())
         mask = infos.get(f"_{key}")
