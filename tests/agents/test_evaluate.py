@@ -56,6 +56,24 @@ def test_another_body_is_everyone_s(octoarm: Any, tmp_path: Path) -> None:
     assert own[1]["tracking_error"] < other[1]["tracking_error"]
 
 
+def test_bodies_that_vary(octoarm: Any, tmp_path: Path) -> None:
+    names = ("hold/lissajous", "readout_ridge/lissajous")
+    own = rows(octoarm, tmp_path / "a.json", *names)
+    options = ("--vary", "longitudinal_stiffness=0.5,2", "--vary", "arm_density=0.9,1.1")
+    varied = rows(octoarm, tmp_path / "b.json", *names, *options, "--bodies", 3)
+    # Who sees no spring earns the same.
+    assert varied[0] == own[0]
+    assert varied[1]["return"] < own[1]["return"]
+    other = rows(octoarm, tmp_path / "c.json", *names, *options, "--body-seed", 1)
+    assert other[1]["return"] != varied[1]["return"]
+    settings = json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["settings"]
+    assert settings["vary"] == {"longitudinal_stiffness": [0.5, 2.0], "arm_density": [0.9, 1.1]}
+    for text, message in (("colour=1,2", '"colour"'), ("arm_density", "expected NAME=LOW,HIGH")):
+        done = octoarm("evaluate", *names, *SHORT, "--vary", text)
+        assert done.exit_code == 2
+        assert message in done.output
+
+
 @pytest.mark.parametrize(
     "command",
     [("evaluate",), ("watch",), ("record", "--out", "a.gif")],

@@ -9,14 +9,18 @@ from typing import Annotated
 import typer
 
 from octoarm_agents.cli.options import (
+    Bodies,
+    BodySeed,
     EpisodeSeed,
     EpisodeSteps,
     NoiseSize,
     OtherBody,
     PushSize,
+    Vary,
     number,
     refused,
     result_file,
+    varied,
 )
 from octoarm_agents.cli.policy_names import POLICY_HELP, find_policy
 from octoarm_agents.cli.printing import new_table
@@ -30,6 +34,9 @@ def evaluate(
     push: PushSize = 0.0,
     noise: NoiseSize = 0.0,
     arm: OtherBody = None,
+    vary: Vary = None,
+    bodies: Bodies = 16,
+    body_seed: BodySeed = 0,
     out: Annotated[
         Path | None, result_file("JSON file for the figures.", show_default="no file")
     ] = None,
@@ -47,6 +54,7 @@ def evaluate(
     from octoarm_agents.policies.rollout import Noise, Push
 
     named = [find_policy(name, arm) for name in policies]
+    drawn = varied(vary, bodies, body_seed)
     # Beside the policies of each home the trivial ones, unless they are among them.
     for home in list(named):
         for kind in TRIVIAL:
@@ -61,7 +69,7 @@ def evaluate(
         with refused(about=f"{each.name}: "):
             figures = evaluate_policy(
                 each.policy,
-                each,
+                replace(each, settings={**each.settings, **drawn}),
                 episodes=episodes,
                 steps=steps,
                 seed=seed,
@@ -83,5 +91,7 @@ def evaluate(
     if out is not None:
         body = None if arm is None else each.parameters.to_dict()
         settings = {"episodes": episodes, "steps": steps, "seed": seed, "push": push}
-        write_json(out, {"settings": {**settings, "noise": noise, "arm": body}, "rows": rows})
+        write_json(
+            out, {"settings": {**settings, "noise": noise, "arm": body, **drawn}, "rows": rows}
+        )
         typer.echo(f"Wrote {out}.")

@@ -173,3 +173,30 @@ _PUSH = "Push the base by so many degrees for 0.2 s after 1 s."
 PushSize = Annotated[float, number(_PUSH, 0.0, 360.0, "degrees")]
 _NOISE = "Half width of white noise on the lengths that the agent sees, in metres."
 NoiseSize = Annotated[float, number(_NOISE, 0.0, 0.01, "metres")]
+
+# Bodies that vary.
+_VARY = (
+    "Draw bodies around the arm: a parameter and the range of its factor, such as"
+    " arm_density=0.9,1.1; may be repeated."
+)
+Vary = Annotated[
+    list[str] | None, typer.Option(metavar="NAME=LOW,HIGH", help=_VARY, show_default="none")
+]
+Bodies = Annotated[int, number("With --vary: bodies that are drawn.", 1, 256)]
+BodySeed = Annotated[int, number("With --vary: seed of these bodies.", 0, 2**63 - 1)]
+
+
+def varied(vary: list[str] | None, bodies: int, body_seed: int) -> dict[str, Any]:
+    """The arguments of an environment that `Vary`, `Bodies` and `BodySeed` ask for."""
+    if not vary:
+        return {}
+    factors = {}
+    for text in vary:
+        name, _, pair = text.partition("=")
+        try:
+            low, high = map(float, pair.split(","))
+        except ValueError:
+            message = f"{text!r}: expected NAME=LOW,HIGH."
+            raise typer.BadParameter(message, param_hint="'--vary'") from None
+        factors[name] = low, high
+    return {"vary": factors, "bodies": bodies, "body_seed": body_seed}

@@ -194,15 +194,16 @@ impl Task {
         }
     }
 
-    /// A body at random, and a snapshot of its swing: at random too, or the nearest to a phase in turns,
-    /// 0 to 1.
+    /// A snapshot of the swing, at random or the nearest to a phase in turns, 0 to 1, and a body at
+    /// random. The phase is drawn first: so it does not depend on whether bodies vary.
     pub(crate) fn draw(&mut self, phase: Option<f64>) -> Start {
-        let bodies = self.swings.len();
-        let body = if bodies > 1 { choose(&mut self.generator, bodies) } else { 0 };
+        let snapshots = self.swing().snapshots.len();
         let snapshot = match phase {
             Some(phase) => self.nearest(phase),
-            None => choose(&mut self.generator, self.swings[body].snapshots.len()),
+            None => choose(&mut self.generator, snapshots),
         };
+        let bodies = self.swings.len();
+        let body = if bodies > 1 { choose(&mut self.generator, bodies) } else { 0 };
         Start { body, snapshot }
     }
 
