@@ -117,8 +117,9 @@ def mend_links(app: Sphinx, doctree: nodes.document) -> None:
     for reference in list(doctree.findall(addnodes.pending_xref)):
         if reference["reftype"] != "myst":
             continue
-        if reference["refdomain"] == "doc" and reference.astext().endswith(".md"):
-            reference["refexplicit"] = False
+        if reference["refdomain"] == "doc":  # a page's target has no ending: a folder's name too
+            if reference.astext().endswith(".md"):
+                reference["refexplicit"] = False
         elif (folder / reference["reftarget"]).is_dir():
             reference.replace_self(reference.children)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,13 @@ from documents import check_links, code_blocks, read_page, run_python
 
 import octoarm_env
 
-PAGES = ["README.md", "docs/environment.md", "docs/agents.md", "docs/reservoir.md"]
+PAGES = [
+    "README.md",
+    "rust/python/README.md",
+    "docs/environment.md",
+    "docs/agents.md",
+    "docs/reservoir.md",
+]
 EXAMPLES = {
     f"{page}-{index}": code
     for page in PAGES
@@ -51,3 +58,12 @@ def test_citation_is_of_this_version() -> None:
 @pytest.mark.parametrize("page", [*PAGES, "docs/architecture.md", "CONTRIBUTING.md"])
 def test_links_lead_somewhere(page: str) -> None:
     check_links(page)
+
+
+@pytest.mark.parametrize("folder", ["", "agents/", "rust/server/"])
+def test_long_descriptions_stand_alone(folder: str) -> None:
+    """A package index shows no file of the repository: no picture, and no link to one."""
+    project = tomllib.loads(read_page(f"{folder}pyproject.toml"))["project"]
+    page = read_page(f"{folder}{project['readme']}")
+    assert page.startswith(f"# {project['name']}\n")
+    assert not re.search(r"\]\((?!https:)|<img|^\[.*\]:", page, re.M)
