@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -29,12 +29,15 @@ from clients import (
     HEADERS,
     Client,
     RawPeer,
+    RefusedError,
     call_headers,
     frame,
     grpc_message,
+    metrics,
     read_request,
     step_request,
     tensor,
+    wait_for_levels,
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
 from octoarm_agents.common.serving import ServerProcess
@@ -337,6 +340,116 @@ def attack_fairness(kind: str, streams: int, seconds: float) -> dict[str, Any]:
     return {"quiet": quiet, "loaded": loaded, "p99_ratio": ratios, "threads": threads}
 
 
+def _decent(server: ServerProcess, rng: np.random.Generator) -> int:
+    """Come, step a world of one arm or of many, read its state, and take leave; the steps."""
+    num_envs = int(rng.choice([0, 0, 8, 64]))
+    batch = {"num_envs": num_envs} if num_envs else {}
+    steps = int(rng.integers(1, 200))
+    with Client(server.address) as client:
+        client.enter(
+            seed=int(rng.integers(1000)), amplitude=float(rng.choice([30.0, 60.0, 90.0])), **batch
+        )
+        for _ in range(steps):
+            client.step(rng.uniform(-1.0, 1.0, (num_envs, 2) if num_envs else 2))
+        client.property("state")
+        world = client.world
+        client.leave()
+        client.destroy(world)
+    return steps
+
+
+def _vanishing(server: ServerProcess, rng: np.random.Generator) -> int:
+    """Make worlds, have one stepped for long, and be gone before the answer comes."""
+    with Client(server.address) as client:
+        for _ in range(int(rng.integers(1, 8))):
+            client.create()
+        client.enter(num_envs=256, control_period=0.1)
+        client.step()
+        client.send(step_request())
+        time.sleep(0.05)
+    return 1
+
+
+def _mistaken(server: ServerProcess, rng: np.random.Generator) -> int:
+    """Ask for what there is not, many times over one connection."""
+    refused = 0
+    with Client(server.address) as first:
+        for _ in range(int(rng.integers(1, 20))):
+            with Client(channel=first.channel) as client:
+                try:
+                    client.create(num_envs=-1)
+                except RefusedError:
+                    refused += 1
+                client.ask(_refused())
+    assert refused > 0
+    return 0
+
+
+def _mute(server: ServerProcess, rng: np.random.Generator) -> int:
+    """Connect, send the begin of a request and of a health check, and hang up."""
+    for length in (int(rng.integers(100, 1000)), 4 << 20):
+        with RawPeer(server) as peer:
+            peer.greet().call(grpc_message(b"\0" * 100, length=length))
+        with Flood(server, 8, 4 << 20) as flood:
+            flood.run(0.05)
+    return 0
+
+
+def attack_soak(seconds: float) -> dict[str, Any]:
+    """Clients of all kinds that come and go; what the server holds when nobody is there."""
+    kinds = [_decent, _decent, _vanishing, _mistaken, _mute]
+
+    def live(server: ServerProcess, seconds: float, seed: int) -> Counter[str]:
+        end = time.monotonic() + seconds
+        counts: Counter[str] = Counter()
+        errors: list[BaseException] = []
+
+        def repeat(index: int) -> None:
+            rng = np.random.default_rng([seed, index])
+            try:
+                while time.monotonic() < end and not errors:
+                    steps = kinds[index](server, rng)
+                    with lock:
+                        counts[kinds[index].__name__[1:]] += 1
+                        counts["steps"] += steps
+            except BaseException as error:
+                errors.append(error)
+
+        lock = threading.Lock()
+        threads = [threading.Thread(target=repeat, args=(index,)) for index in range(len(kinds))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if errors:
+            raise errors[0]
+        return counts
+
+    def held(server: ServerProcess) -> dict[str, float]:
+        wait_for_levels(server, timeout=60.0, connections=0, streams=0, worlds=0)
+        text = metrics(server)
+        return {
+            "threads": status(server, "Threads"),
+            "open_files": len(list(Path(f"/proc/{server.process.pid}/fd").iterdir())),
+            "resident_MB": memory(server) / 1e6,
+            "bytes_in_flight": text["octoarm_in_flight_bytes"],
+            "worlds": text["octoarm_worlds"],
+            "world_bytes": text["octoarm_worlds_memory_bytes"],
+            "streams": text["octoarm_streams"],
+            "connections": text["octoarm_connections"],
+        }
+
+    first = min(60.0, seconds / 2.0)
+    totals: Counter[str] = Counter()
+    with ServerProcess("--metrics-port", "0", "--log-level", "warn") as server:
+        found = [{"seconds": 0.0, **held(server)}]
+        # The first minute fills what the server keeps on purpose, and its allocator's arenas.
+        for seed, end in enumerate([first, *np.linspace(first, seconds, 6)[1:].tolist()]):
+            totals.update(live(server, end - found[-1]["seconds"], seed))
+            found.append({"seconds": end, **held(server)})
+        return {"clients_and_steps": dict(totals), "held": found}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -352,6 +465,7 @@ def main() -> None:
     command("threads", attack_threads, worlds=60, threads=64)
     command("worlds", attack_worlds, count=20)
     command("fairness", attack_fairness, kind="steps", streams=6, seconds=8.0)
+    command("soak", attack_soak, seconds=600.0)
     bystander = commands.add_parser("bystander", help="the decent client of the others")
     bystander.add_argument("address")
     bystander.add_argument("seconds", type=float)

@@ -59,6 +59,7 @@ mod state;
 mod tensor;
 mod tls;
 mod tokens;
+mod traces;
 mod world;
 mod world_settings;
 mod worlds;
@@ -67,3 +68,6 @@ pub use log::LogRate;
 pub use options::Options;
 pub use server::{Reloader, ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};
+pub use traces::SPANS;
+#[cfg(feature = "otel")]
+pub use traces::Traces;

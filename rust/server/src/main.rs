@@ -5,15 +5,37 @@ use std::io::{self, IsTerminal as _, Write as _};
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use octoarm_server::{LogFormat, LogRate, Options, Reloader, Server, Settings};
+#[cfg(feature = "otel")]
+use octoarm_server::Traces;
+use octoarm_server::{LogFormat, LogRate, Options, Reloader, SPANS, Server, Settings};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_appender::non_blocking::WorkerGuard;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer as _};
 
-/// Starts the log; what is logged last goes out when the guard is dropped.
-fn start_log(settings: &Settings, rate: LogRate) -> Result<WorkerGuard, String> {
+/// What is written last goes out at the end.
+struct Outlets {
+    _log: WorkerGuard,
+    #[cfg(feature = "otel")]
+    traces: Option<Traces>,
+}
+
+impl Outlets {
+    /// Sends the spans that have not been sent.
+    fn finish(&self) {
+        #[cfg(feature = "otel")]
+        if let Some(traces) = &self.traces
+            && let Err(error) = traces.finish()
+        {
+            tracing::warn!(error, "spans may be lost");
+        }
+    }
+}
+
+/// Starts the log, and the export of traces.
+fn start_log(settings: &Settings, rate: LogRate) -> Result<Outlets, String> {
     let level = &settings.log_level;
     // A level alone is that of the server; its libraries only warn.
     let alone = level.chars().all(char::is_alphabetic);
@@ -24,7 +46,10 @@ fn start_log(settings: &Settings, rate: LogRate) -> Result<WorkerGuard, String> 
     } else {
         level.clone()
     };
+    // Spans of requests are for the collector alone, whatever the log shows.
+    let spans = if settings.otlp_endpoint.is_some() { "info" } else { "off" };
     let filter = EnvFilter::try_new(filter)
+        .and_then(|filter| Ok(filter.add_directive(format!("{SPANS}={spans}").parse()?)))
         .map_err(|error| format!("log_level = {:?}: {error}", settings.log_level))?;
     // A reader of the log that comes to a halt must not bring the server to one: lines are dropped.
     let (writer, guard) = tracing_appender::non_blocking(io::stderr());
@@ -33,14 +58,24 @@ fn start_log(settings: &Settings, rate: LogRate) -> Result<WorkerGuard, String> 
         // Nobody may be reading: that is no reason to end.
         .log_internal_errors(false)
         .with_writer(writer);
-    let rest = tracing_subscriber::registry().with(filter).with(rate);
-    match settings.log_format {
-        LogFormat::Text => rest.with(log.with_target(false)).init(),
-        LogFormat::Json => rest.with(log.json().flatten_event(true)).init(),
-    }
+    let log = match settings.log_format {
+        LogFormat::Text => log.with_target(false).boxed(),
+        LogFormat::Json => log.json().flatten_event(true).boxed(),
+    };
+    let log = log.with_filter(filter_fn(|metadata| metadata.target() != SPANS));
+    let rest = tracing_subscriber::registry();
+    #[cfg(feature = "otel")]
+    let traces = settings.otlp_endpoint.as_deref().map(Traces::to).transpose()?;
+    #[cfg(feature = "otel")]
+    let rest = rest.with(traces.as_ref().map(Traces::layer));
+    rest.with(log).with(filter).with(rate).init();
     // A panic is a line of the log as everything else.
     std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "panic")));
-    Ok(guard)
+    Ok(Outlets {
+        _log: guard,
+        #[cfg(feature = "otel")]
+        traces,
+    })
 }
 
 /// Listens to the system's signals at once; the future completes when the process is asked to end.
@@ -98,13 +133,17 @@ async fn serve(settings: Settings, rate: LogRate) -> Result<(), Box<dyn Error>> 
 fn run() -> Result<(), (u8, String)> {
     let settings = Options::parse().settle().map_err(|error| (2, error.to_string()))?;
     let rate = LogRate::new(settings.log_rate);
-    let _log = start_log(&settings, rate.clone()).map_err(|error| (2, error))?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(settings.server_threads)
         .enable_all()
         .build()
         .map_err(|error| (1, error.to_string()))?;
+    // Spans are sent by its tasks.
+    let inside = runtime.enter();
+    let outlets = start_log(&settings, rate.clone()).map_err(|error| (2, error))?;
+    drop(inside);
     let result = runtime.block_on(serve(settings, rate)).map_err(|error| (1, error.to_string()));
+    outlets.finish();
     // A long step must not keep the process.
     runtime.shutdown_background();
     result

@@ -48,6 +48,8 @@ pub(crate) type Level = Gauge<i64, AtomicI64>;
 /// What is counted of one kind of request.
 #[derive(Clone, Debug)]
 pub(crate) struct Requests {
+    /// Its name.
+    pub(crate) kind: &'static str,
     answered: Count,
     refused: Count,
     seconds: Histogram,
@@ -149,6 +151,7 @@ impl Metrics {
             let count =
                 |result| counts.get_or_create_owned(&vec![("request", kind), ("result", result)]);
             Requests {
+                kind,
                 answered: count("answered"),
                 refused: count("refused"),
                 seconds: times.get_or_create_owned(&vec![("request", kind)]),
@@ -212,11 +215,12 @@ impl Metrics {
         })
     }
 
-    /// Counts a request that was refused.
-    pub(crate) fn refused(&self, code: tonic::Code) {
+    /// Counts a request that was refused; gives the code's name.
+    pub(crate) fn refused(&self, code: tonic::Code) -> &'static str {
         // As gRPC writes it.
         let name = CODES.iter().find(|(known, _)| *known == code).map_or("OTHER", |(_, name)| name);
         self.errors.get_or_create_owned(&vec![("code", name)]).inc();
+        name
     }
 
     /// Counts a connection that was closed because there are too many.

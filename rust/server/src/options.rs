@@ -131,6 +131,11 @@ pub struct Options {
     /// Address for Prometheus; whoever reaches it can read the metrics [default: 127.0.0.1].
     #[arg(long, value_name = "ADDRESS")]
     metrics_host: Option<IpAddr>,
+    /// URL of an OpenTelemetry collector, such as http://127.0.0.1:4317, that gets a span for each
+    /// request by OTLP over gRPC; else the environment variable OTEL_EXPORTER_OTLP_ENDPOINT says so. It
+    /// needs a server that was built with the feature `otel`.
+    #[arg(long, value_name = "URL")]
+    otlp_endpoint: Option<String>,
     /// Log lines for eyes (text) or programs (json) [default: text].
     #[arg(long, value_name = "FORMAT")]
     log_format: Option<LogFormat>,
@@ -145,6 +150,8 @@ pub struct Options {
 
 /// Environment variable that holds the token.
 const TOKEN_VARIABLE: &str = "OCTOARM_TOKEN";
+/// Environment variable that names the collector of traces.
+const OTLP_VARIABLE: &str = "OTEL_EXPORTER_OTLP_ENDPOINT";
 /// The port that gRPC's examples use.
 const PORT: u16 = 50_051;
 /// Shortest time that may be set \[s\].
@@ -207,6 +214,34 @@ fn threads(name: &str, value: Option<usize>, default: usize) -> Result<usize, Se
     }
 }
 
+/// Where spans go, if anywhere.
+fn collector(given: Option<String>) -> Result<Option<String>, SettingsError> {
+    if !cfg!(feature = "otel") {
+        // The variable is for all programs of a machine, whether they have traces or not.
+        return match given {
+            None => Ok(None),
+            Some(_) => Err(SettingsError::Value(
+                "otlp_endpoint needs a server that was built with traces: cargo build --release -p \
+                 octoarm-server --features otel"
+                    .to_owned(),
+            )),
+        };
+    }
+    let (name, url) = match (given, std::env::var(OTLP_VARIABLE)) {
+        (Some(url), _) => ("otlp_endpoint", url),
+        (None, Ok(url)) if !url.is_empty() => (OTLP_VARIABLE, url),
+        _ => return Ok(None),
+    };
+    let parsed = url.parse::<http::Uri>().ok();
+    let scheme = parsed.as_ref().and_then(http::Uri::scheme_str);
+    if !matches!(scheme, Some("http" | "https")) {
+        return Err(SettingsError::Value(format!(
+            "{name} = {url:?}: expected a URL of http or https, such as http://127.0.0.1:4317"
+        )));
+    }
+    Ok(Some(url))
+}
+
 macro_rules! prefer {
     ($first:ident, $second:ident; $($field:ident)*) => {
         Options { config: None, $($field: $first.$field.or($second.$field)),* }
@@ -222,7 +257,7 @@ impl Options {
             max_connections max_connections_per_address max_streams_per_connection
             probation_timeout message_timeout max_connection_age idle_timeout keepalive_interval
             keepalive_timeout busy_poll shutdown_timeout drain_timeout server_threads metrics_port
-            metrics_host log_format log_level log_rate)
+            metrics_host otlp_endpoint log_format log_level log_rate)
     }
 
     fn from_file(path: &Path) -> Result<Self, SettingsError> {
@@ -326,6 +361,7 @@ impl Options {
             log_rate: positive("log_rate", options.log_rate, 1000)?,
             server_threads: threads("server_threads", options.server_threads, cores())?,
             metrics: options.metrics_port.map(|port| SocketAddr::new(metrics_host, port)),
+            otlp_endpoint: collector(options.otlp_endpoint)?,
             log_format: options.log_format.unwrap_or_default(),
             log_level: options.log_level.unwrap_or_else(|| "info".to_owned()),
         })
@@ -409,6 +445,12 @@ mod tests {
             let message = settle(arguments).expect_err("refused");
             assert!(message.contains(expected), "{arguments:?}: {message}");
         }
+        // Traces are refused where there are none, and without a scheme where there are.
+        let message = settle(&["--otlp-endpoint", "127.0.0.1:4317"]).expect_err("no scheme");
+        let expected = if cfg!(feature = "otel") { "expected a URL" } else { "--features otel" };
+        assert!(message.contains("otlp_endpoint") && message.contains(expected), "{message}");
+        let url = settle(&["--otlp-endpoint", "http://127.0.0.1:4317"]);
+        assert_eq!(url.is_ok(), cfg!(feature = "otel"));
         let file = written("unknown.toml", "max_wolrds = 3\n").display().to_string();
         let message = settle(&["--config", &file]).expect_err("unknown");
         assert!(message.contains("max_wolrds"), "{message}");

@@ -82,8 +82,9 @@ impl Environment for Service {
         let (sessions, room) = (Arc::clone(&self.sessions), Arc::clone(&self.room));
         let owner = request.extensions().get::<Owner>();
         let present = owner.map(|owner| sessions.metrics.present(&owner.0));
+        let token = owner.map(|owner| Arc::clone(&owner.0));
         let mut requests = request.into_inner();
-        let mut session = Session::new(Arc::clone(&sessions), peer);
+        let mut session = Session::new(Arc::clone(&sessions), peer, token);
         // One task does everything for a stream: it reads, computes and answers, and the next request
         // is read when the answer has been taken.
         let answers = async_stream::stream! {

@@ -10,6 +10,7 @@ use octoarm_env::{Autoreset, Swing, SwingRun};
 use prost_types::Any;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status};
+use tracing::Span;
 
 use crate::codec::decode;
 use crate::environment::Environment;
@@ -25,6 +26,7 @@ use crate::protocol::{
 use crate::reply::{Answer, Refusal, quoted};
 use crate::sessions::{Activity, Sessions};
 use crate::settings::Limits;
+use crate::traces;
 use crate::world::{World, failed};
 use crate::world_settings::{NextReset, WorldSettings, memory, weight};
 use crate::worlds::Agent;
@@ -102,6 +104,8 @@ pub(crate) struct Session {
     sessions: Arc<Sessions>,
     id: u64,
     peer: Peer,
+    /// Name of the token that it was let in with.
+    token: Option<Arc<str>>,
     activity: Arc<Activity>,
 }
 
@@ -127,10 +131,10 @@ fn guarded<T>(work: impl FnOnce() -> Answer<T>) -> Answer<T> {
 
 impl Session {
     /// A new stream.
-    pub(crate) fn new(sessions: Arc<Sessions>, peer: Peer) -> Self {
+    pub(crate) fn new(sessions: Arc<Sessions>, peer: Peer, token: Option<Arc<str>>) -> Self {
         let (id, activity) = sessions.add();
         tracing::debug!(stream = id, connection = peer.connection, address = %peer.address, "stream opened");
-        Self { sessions, id, peer, activity }
+        Self { sessions, id, peer, token, activity }
     }
 
     /// Told when the stream has been idle for too long.
@@ -150,6 +154,7 @@ impl Session {
     /// The status that the stream ends with, if what came is no request.
     pub(crate) async fn serve(&mut self, bytes: Bytes) -> Result<EnvironmentResponse, Status> {
         let begin = Instant::now();
+        let span = self.span();
         self.sessions.begin(&self.activity);
         let length = bytes.len();
         let asked = if length <= SMALL_REQUEST {
@@ -161,7 +166,7 @@ impl Session {
             let asked = pool.run_once(self.peer.connection, work).await;
             asked.map_err(|refusal| Status::new(refusal.code, refusal.message))??
         };
-        Ok(self.answer_since(begin, asked).await)
+        Ok(self.answer_since(begin, span, asked).await)
     }
 
     /// Answers a request.
@@ -169,15 +174,37 @@ impl Session {
     pub(crate) async fn answer(&mut self, request: EnvironmentRequest) -> EnvironmentResponse {
         self.sessions.begin(&self.activity);
         let asked = Asked::of(request, &self.sessions.limits);
-        self.answer_since(Instant::now(), asked).await
+        self.answer_since(Instant::now(), self.span(), asked).await
     }
 
-    async fn answer_since(&mut self, begin: Instant, asked: Asked) -> EnvironmentResponse {
+    /// The span of a request that begins now.
+    fn span(&self) -> Span {
+        traces::request(self.peer.connection, self.id, self.token.as_deref())
+    }
+
+    /// Tells a request's span which world it is about.
+    fn tell_world(&self, span: &Span) {
+        if !span.is_disabled()
+            && let Some(agent) = &*self.activity.agent()
+        {
+            span.record("world", traces::shown(&agent.world.name));
+        }
+    }
+
+    async fn answer_since(
+        &mut self,
+        begin: Instant,
+        span: Span,
+        asked: Asked,
+    ) -> EnvironmentResponse {
         let metrics = Arc::clone(&self.sessions.metrics);
         let requests = match &asked {
             Asked::Create(_) => metrics.of_creation(),
             Asked::Other(request) => metrics.of(request.payload.as_ref()),
         };
+        span.record("otel.name", requests.kind);
+        // It may be left in between.
+        self.tell_world(&span);
         let answer = match asked {
             Asked::Create(Err(refusal)) => Err(refusal),
             Asked::Create(Ok(settings)) => self.create(settings).await.map(Response::CreateWorld),
@@ -185,13 +212,21 @@ impl Session {
         };
         let payload = answer.unwrap_or_else(|refusal| {
             tracing::debug!(stream = self.id, code = ?refusal.code, reason = ?refusal.message, "request refused");
-            metrics.refused(refusal.code);
+            let code = metrics.refused(refusal.code);
+            span.record("otel.status_code", "ERROR").record("error.type", code);
             if self.agent().is_ok_and(|agent| agent.world.broken()) {
                 tracing::error!(stream = self.id, "a computation failed: its world is given up");
                 self.activity.leave();
             }
             Response::Error(refusal.into())
         });
+        match &payload {
+            Response::CreateWorld(made) => {
+                span.record("world", traces::shown(&made.world_name));
+            }
+            Response::JoinWorld(_) => self.tell_world(&span),
+            _ => (),
+        }
         requests.count(matches!(payload, Response::Error(_)), begin.elapsed().as_secs_f64());
         self.sessions.end(&self.activity);
         EnvironmentResponse { payload: Some(payload) }

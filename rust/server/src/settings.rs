@@ -100,6 +100,8 @@ pub struct Settings {
     /// Number of threads that serve.
     pub server_threads: usize,
     pub(crate) metrics: Option<SocketAddr>,
+    /// URL of the collector that gets the spans.
+    pub otlp_endpoint: Option<String>,
     /// Form of the log lines.
     pub log_format: LogFormat,
     /// Filter of what is logged, as `tracing` reads it.

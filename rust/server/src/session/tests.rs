@@ -35,7 +35,7 @@ fn open(sessions: &Arc<Sessions>) -> Session {
     static CONNECTIONS: Number = Number::new(1);
     let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
     let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    Session::new(Arc::clone(sessions), Peer::new(connection, address))
+    Session::new(Arc::clone(sessions), Peer::new(connection, address), None)
 }
 
 async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
