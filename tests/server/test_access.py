@@ -505,7 +505,14 @@ def test_arms_of_the_server_are_limited() -> None:
             "40100 physics",
         ),
         # 10 steps, and 1555 times as many.
-        ("--max-physics-steps", "15550", {}, {"control_period": 0.011}, 8, "swing .* allows 15550"),
+        (
+            "--max-physics-steps",
+            "15550",
+            {},
+            {"control_period": 0.011},
+            8,
+            "swings .* allows 15550",
+        ),
         ("--max-physics-steps", "15550", {}, {"arm__compartments": 21}, 8, "16328 physics"),
     ],
 )
@@ -713,7 +720,7 @@ def test_clients_cannot_write_lines_of_the_log(level: str) -> None:
 def test_help_names_every_option() -> None:
     text = run("--help").stdout
     named = set(re.findall(r"^\s+(?:-\w, )?--([a-z-]+)", text, flags=re.MULTILINE))
-    assert named == {*OPTIONS, "config", "help", "version"}
+    assert named == {*OPTIONS, "otlp-endpoint", "config", "help", "version"}
     assert "OCTOARM_TOKEN" in text
     assert re.fullmatch(r"octoarm-server \d+\.\d+\.\d+\n", run("--version").stdout)
 

@@ -144,7 +144,8 @@ def test_every_observation_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> 
             cells = table[spec.name]
             assert cells[2] == dm_env_rpc_pb2.DataType.Name(spec.dtype), spec.name
             assert cells[column].replace("N", "3") == shape_text(spec.shape), spec.name
-            limits = [bound.doubles.array for bound in (spec.min, spec.max)]
+            kind = "int64s" if cells[2] == "INT64" else "doubles"
+            limits = [getattr(bound, kind).array for bound in (spec.min, spec.max)]
             texts = [f"{limit[0]:g}".replace("-", "−") if limit else "∞" for limit in limits]
             assert cells[5] == ("" if texts == ["∞", "∞"] else ", ".join(texts)), spec.name
 

@@ -39,6 +39,8 @@
 mod auth;
 mod codec;
 mod environment;
+#[cfg(feature = "otel")]
+mod export;
 mod intake;
 mod limits;
 mod listener;
@@ -64,10 +66,10 @@ mod world;
 mod world_settings;
 mod worlds;
 
+#[cfg(feature = "otel")]
+pub use export::Traces;
 pub use log::LogRate;
 pub use options::Options;
 pub use server::{Reloader, ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};
 pub use traces::SPANS;
-#[cfg(feature = "otel")]
-pub use traces::Traces;

@@ -2,7 +2,7 @@
 
 use octoarm_env::{EpisodeConfig, Outcome, Reading, Word};
 
-use crate::protocol::tensor::DoubleArray;
+use crate::protocol::tensor::{DoubleArray, Int64Array};
 use crate::protocol::tensor_spec::{Value, value};
 use crate::protocol::{ActionObservationSpecs, DataType, StepRequest, TensorSpec};
 use crate::reply::{Answer, Refusal};
@@ -81,8 +81,13 @@ pub(crate) struct Specs {
     pub(crate) message: ActionObservationSpecs,
 }
 
-fn bound(value: f64) -> Value {
-    Value { payload: Some(value::Payload::Doubles(DoubleArray { array: vec![value] })) }
+/// A bound, of the type of what it bounds.
+fn bound(value: f64, data_type: DataType) -> Value {
+    let payload = match data_type {
+        DataType::Int64 => value::Payload::Int64s(Int64Array { array: vec![value as i64] }),
+        _ => value::Payload::Doubles(DoubleArray { array: vec![value] }),
+    };
+    Value { payload: Some(payload) }
 }
 
 impl Specs {
@@ -101,13 +106,14 @@ impl Specs {
         };
         for (observation, uid) in Observation::all(finals).zip(1..) {
             let [min, max] = observation.bounds(config, amplitude);
+            let data_type = observation.data_type();
             let spec = TensorSpec {
                 name: observation.name(),
                 // As many rows as episodes ended: any number.
                 shape: specs.shape(observation, -1),
-                dtype: observation.data_type() as i32,
-                min: min.map(bound),
-                max: max.map(bound),
+                dtype: data_type as i32,
+                min: min.map(|value| bound(value, data_type)),
+                max: max.map(|value| bound(value, data_type)),
             };
             specs.message.observations.insert(uid, spec);
         }
@@ -115,8 +121,8 @@ impl Specs {
             name: "action".to_owned(),
             shape: specs.action_shape(),
             dtype: DataType::Double as i32,
-            min: Some(bound(-1.0)),
-            max: Some(bound(1.0)),
+            min: Some(bound(-1.0, DataType::Double)),
+            max: Some(bound(1.0, DataType::Double)),
         };
         specs.message.actions.insert(ACTION, action);
         specs
