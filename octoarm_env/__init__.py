@@ -1,6 +1,6 @@
 """The soft robotic octopus arm of Nakajima et al. (2013) as a Gymnasium environment.
 
-Importing this package registers ``OctoArm-v0``::
+Importing this package registers ``OctoArm-v0`` and ``OctoArmReach-v0``::
 
     import gymnasium as gym
     import octoarm_env
@@ -59,7 +59,13 @@ register(
     vector_entry_point="octoarm_env.vector:OctoArmVectorEnv",
     max_episode_steps=500,
 )
-# The same on a server, octoarm_env.remote.
+register(
+    id="OctoArmReach-v0",
+    entry_point="octoarm_env.reach.env:OctoArmReachEnv",
+    vector_entry_point="octoarm_env.reach.vector:OctoArmReachVectorEnv",
+    max_episode_steps=100,
+)
+# OctoArm-v0 on a server, octoarm_env.remote.
 register(
     id="OctoArmRemote-v0",
     entry_point="octoarm_env.remote:RemoteOctoArm",

@@ -14,14 +14,17 @@ __all__ = [
     "DomainError",
     "Episode",
     "EpisodeBatch",
+    "ReachBatch",
     "check_actions",
     "check_parameters",
     "check_step",
     "drawn_bodies",
+    "drawn_reach_bodies",
     "instruction_set",
     "limit_cycle_orbit",
     "limit_cycle_signal",
     "preset_parameters",
+    "reach_rewards",
 ]
 
 class DomainError(RuntimeError):
@@ -97,6 +100,50 @@ class Episode:
     def joints(self) -> _Float: ...
     @property
     def positions(self) -> _Float: ...
+
+@final
+class ReachBatch:
+    def __new__(
+        cls,
+        config: str,
+        goals: ArrayLike,
+        num_envs: int,
+        max_episode_steps: int | None,
+        autoreset: str,
+        threads: int | None,
+    ) -> ReachBatch: ...
+    def reset(
+        self,
+        mask: list[bool] | None,
+        seeds: list[int | None],
+        goal: tuple[float, float, float] | None,
+    ) -> tuple[dict[str, _Float], dict[str, Any]]: ...
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[dict[str, _Float], _Float, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]: ...
+    def infos(self) -> dict[str, Any]: ...
+    @property
+    def ended(self) -> list[bool]: ...
+    def save(self) -> str: ...
+    def load(self, state: str) -> None: ...
+    def joints(self, index: int) -> _Float: ...
+    def positions(self, index: int) -> _Float: ...
+    def activations(self, index: int) -> _Float: ...
+    @property
+    def goals(self) -> _Float: ...
+    @property
+    def threads(self) -> int: ...
+    @property
+    def observation_len(self) -> int: ...
+    @property
+    def observation_bounds(self) -> tuple[float, float]: ...
+    @property
+    def action_len(self) -> int: ...
+
+def drawn_reach_bodies(config: str) -> list[str]: ...
+def reach_rewards(
+    achieved: ArrayLike, desired: ArrayLike, sparse: bool, distance_threshold: float
+) -> _Float: ...
 
 @final
 class EpisodeBatch:

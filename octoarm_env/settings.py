@@ -136,7 +136,7 @@ class EpisodeSettings:
             "arm": ArmParameters.of(self.arm),
             "delay": whole_number("delay", self.delay, 0),
             "dropout": whole_number("dropout", self.dropout, 0),
-            "vary": _factors(self.vary),
+            "vary": body_factors(self.vary),
             "bodies": whole_number("bodies", self.bodies, 1),
             "body_seed": whole_number("body_seed", self.body_seed, 0, 2**64 - 1),
         }
@@ -165,6 +165,11 @@ class EpisodeSettings:
             raise ValueError(f"unknown settings {unknown}; known are {known}")
         return cls(**content)
 
+    @property
+    def title(self) -> str:
+        """Of a picture."""
+        return self.target if isinstance(self.target, str) else "own target"
+
     @functools.cached_property
     def drawn_bodies(self) -> tuple[ArmParameters, ...]:
         """The bodies that episodes are made with, in the order of ``info["body"]``."""
@@ -192,7 +197,8 @@ def phase_option(options: dict[str, Any] | None, *others: str) -> float | None:
     return number("options['phase']", options["phase"])
 
 
-def _factors(value: Any) -> dict[str, tuple[float, float]]:
+def body_factors(value: Any) -> dict[str, tuple[float, float]]:
+    """Give the factors (low, high) on numbers of the arm, by their names."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise, repeat
 from typing import Any
 
@@ -14,7 +14,16 @@ from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering import mesh
 from octoarm_env.rendering.camera import Stage, View
-from octoarm_env.rendering.colours import BASE, FLESH, ORBIT, SPRINGS, TARGET, Colour, faded_base
+from octoarm_env.rendering.colours import (
+    BASE,
+    FLESH,
+    ORBIT,
+    SPRINGS,
+    TARGET,
+    Colour,
+    faded_base,
+    muscle_colours,
+)
 from octoarm_env.rendering.history import History
 from octoarm_env.rendering.toolkit import pygame
 from octoarm_env.rendering.water import HAZE, draw_shadow
@@ -96,9 +105,10 @@ class Body:
         ages = np.linspace(0.35, 1.0, max(len(points) - 1, 1))[: len(points) - 1]
         nearer = self._parameters.base_radius * (1.0 + ages)
         pieces = self._solids(view, rings, points[-1])
-        pieces += self._springs(view, joints)
+        pieces += self._springs(view, joints, history.activations)
         pieces += self._standing
-        pieces += self._line(view, points, faded_base(ages), 2 * _thin(view), nearer)
+        if history.goal is None:
+            pieces += self._line(view, points, faded_base(ages), 2 * _thin(view), nearer)
         pieces.sort(key=operator.itemgetter(0))
         draw_polygon, draw_line = pygame.draw.polygon, pygame.draw.line
         for _, colour, corners, wide in pieces:
@@ -106,6 +116,9 @@ class Body:
                 draw_line(canvas, colour, corners[0], corners[1], wide)
             else:
                 draw_polygon(canvas, colour, corners)
+        if history.goal is not None:
+            self._draw_goal(canvas, view, joints, history.goal)
+            return
         # The end of the pointer, and where it should be.
         radius = max(view.size_at(0.28 * self._parameters.base_radius, points[-1]), 2.0)
         rim = max(self._fine, round(0.3 * radius))
@@ -113,6 +126,16 @@ class Body:
         (end, target), _ = view.project(np.stack((end, target)))
         pygame.draw.circle(canvas, BASE, end, radius)
         pygame.draw.circle(canvas, TARGET, target, 1.6 * radius, rim)
+
+    def _draw_goal(self, canvas: pygame.Surface, view: View, joints: Float, goal: Float) -> None:
+        """Where the tip should be, and its way there."""
+        points = np.stack((joints[-1].mean(axis=0), goal))
+        (tip, place), _ = view.project(points)
+        wide = max(self._fine, _thin(view))
+        pygame.draw.line(canvas, ORBIT, tip, place, wide)
+        radius = max(view.size_at(0.6 * self._parameters.base_radius, goal), 3.0)
+        pygame.draw.circle(canvas, BASE, place, radius)
+        pygame.draw.circle(canvas, TARGET, place, radius, wide)
 
     def _pointed(self, angles: Float) -> Float:
         """Where the end of the pointer is for base angles (n, 2) [degrees], (n, 3) [m]."""
@@ -150,7 +173,7 @@ class Body:
         shaded = np.rint(shaded + far * (HAZE - shaded)).astype(int)
         return list(zip((-depths).tolist(), shaded.tolist(), pixels.tolist(), repeat(0)))
 
-    def _springs(self, view: View, joints: Float) -> Pieces:
+    def _springs(self, view: View, joints: Float, activations: Float | None) -> Pieces:
         """The springs that lie on this side of the arm."""
         middles = 0.5 * (joints[:-1] + joints[1:])
         outwards = middles - middles.mean(axis=1, keepdims=True)
@@ -163,10 +186,15 @@ class Body:
         depth = -view.project(middles)[1] + 0.7 * bias
         thick = 0.13 * float(self._parameters.tip_radius + self._parameters.base_radius)
         wide = max(self._fine, round(view.size_at(thick, middles[0, 0])))
+        count = len(middles)
+        colours: Sequence[Sequence[Any]] = [SPRINGS] * count
+        if activations is not None:
+            segments = np.arange(count) * len(activations) // count
+            colours = muscle_colours(activations[segments, :4]).tolist()
         pieces = []
         for j, i in np.argwhere(seen).tolist():
             line = (pixels[j][i], pixels[j + 1][i])
-            pieces.append((float(depth[j, i]), SPRINGS[i], line, wide))
+            pieces.append((float(depth[j, i]), colours[j][i], line, wide))
         return pieces
 
     def _ring(self) -> Float:

@@ -16,6 +16,7 @@ BASE: Colour = (255, 150, 40)
 ORBIT: Colour = (190, 214, 224)
 TARGET: Colour = (255, 255, 255)
 
+_SLACK = np.array([84.0, 72.0, 74.0])
 _SHORTER = np.array([59.0, 90.0, 235.0])
 _NEUTRAL = np.array([236.0, 236.0, 232.0])
 _LONGER = np.array([200.0, 20.0, 40.0])
@@ -28,6 +29,13 @@ def strain_colours(strains: NDArray[np.float64]) -> NDArray[np.uint8]:
     shares = np.sqrt(np.clip(np.abs(strains) / STRAIN_SCALE, 0.0, 1.0))[..., np.newaxis]
     ends = np.where(strains[..., np.newaxis] < 0, _SHORTER, _LONGER)
     colours: NDArray[np.uint8] = np.rint(_NEUTRAL + shares * (ends - _NEUTRAL)).astype(np.uint8)
+    return colours
+
+
+def muscle_colours(activations: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Give the colours of muscles that are so active, (…, 4, 3): grey to those of springs."""
+    shares = activations[..., np.newaxis]
+    colours: NDArray[np.int64] = np.rint(_SLACK + shares * (np.array(SPRINGS) - _SLACK)).astype(int)
     return colours
 
 

@@ -37,6 +37,11 @@ class History:
         disturbances: what disturbs the arm now, in words.
     """
 
+    goal: Float | None = None
+    """Where the tip should be, (3,) [m], where that is the task."""
+    activations: Float | None = None
+    """How active the muscles are, (segments, 5), where there are any."""
+
     def __init__(self, control_period: float) -> None:
         self.disturbances: tuple[str, ...] = ()
         self.control_period = control_period
@@ -60,6 +65,12 @@ class History:
     def trace(self) -> Float:
         """Base angles of late, the last row is now, (n, 2) [degrees]."""
         return np.array(self._trace)
+
+    def figures(self) -> list[tuple[str, bool]]:
+        """Give what is to be said of now, and whether it is of what the agent moves."""
+        theta, phi = self._trace[-1]
+        angles = f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−")
+        return [(angles, True), (f"error {self.tracking_error:.2f}°", False)]
 
     def begin(self, info: Mapping[str, Any]) -> None:
         """Forget all: an episode has begun with this info."""
@@ -129,3 +140,57 @@ class BatchHistory:
 
     def _forget(self, mask: Flags) -> None:
         self._steps[mask], self._totals[mask], self._failures[mask] = 0, 0.0, ""
+
+
+class ReachHistory(History):
+    """The past of an episode of reaching; the base stands still.
+
+    Attributes:
+        distance: from tip to goal [m].
+    """
+
+    distance = 0.0
+
+    def figures(self) -> list[tuple[str, bool]]:
+        """Give what is to be said of now, and whether it is of what the agent moves."""
+        return [(f"{100 * self.distance:.1f} cm to the goal", True)]
+
+    def _see(self, info: Mapping[str, Any]) -> None:
+        self._trace.append(np.zeros(2))
+        self.distance = float(info["distance"])
+
+
+class ReachHistories:
+    """The pasts of episodes of reaching, side by side.
+
+    Args:
+        control_period: seconds of a step.
+        count: number of environments N.
+    """
+
+    def __init__(self, control_period: float, count: int) -> None:
+        self._pasts = [ReachHistory(control_period) for _ in range(count)]
+
+    def begin(self, mask: Flags, infos: Mapping[str, Any]) -> None:
+        """Episodes have begun with these infos, where the mask (N,) is True."""
+        for index in np.flatnonzero(mask).tolist():
+            self._pasts[index].begin(_info_of(infos, index))
+
+    def add(self, infos: Mapping[str, Any], rewards: Float, begun: Flags) -> None:
+        """A step brought these infos and rewards; where `begun` is True it began an episode."""
+        for index, past in enumerate(self._pasts):
+            info = _info_of(infos, index)
+            if begun[index]:
+                past.begin(info)
+            else:
+                past.add(info, float(rewards[index]))
+
+    def of(self, index: int) -> ReachHistory:
+        """Give the past of one environment."""
+        return self._pasts[index]
+
+
+def _info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
+    info = {"distance": infos["distance"][index]}
+    failed = "failure" in infos and infos["_failure"][index]
+    return info | ({"failure": infos["failure"][index]} if failed else {})

@@ -12,6 +12,7 @@ import numpy as np
 from octoarm_env.arrays import Float
 from octoarm_env.rendering.colours import (
     BASE,
+    FLESH,
     ORBIT,
     SPRINGS,
     STRAIN_SCALE,
@@ -99,7 +100,11 @@ class Panels:
         """
         if not self.shown:
             return []
-        labels = self._portrait(canvas, history) + self._strip(canvas, strains)
+        if history.activations is None:
+            labels = self._portrait(canvas, history)
+        else:
+            labels = self._muscles(canvas, history.activations)
+        labels += self._strip(canvas, strains)
         return labels + self._figures(canvas, lines)
 
     def write(self, picture: pygame.Surface, labels: list[Label]) -> None:
@@ -189,6 +194,31 @@ class Panels:
             Label(f"±{self._reach:.3g}°", right - 8 * unit, below, _FAINT, 13, "right"),
         ]
 
+    def _muscles(self, canvas: pygame.Surface, activations: Float) -> list[Label]:
+        """How active the muscles are: a row for each side and the transverse ones."""
+        unit = self.unit
+        wide, row, margin = 150 * unit, 12 * unit, 8 * unit
+        left, top = self._size[0] - wide - margin, margin
+        self._panel(canvas, left, top, wide, 5 * row + 30 * unit)
+        first, begin = top + 22 * unit, left + 24 * unit
+        cell = (wide - 32 * unit) / len(activations)
+        ends = [*SPRINGS, FLESH[0]]
+        for muscle, colour in enumerate(ends):
+            for segment, active in enumerate(activations[:, muscle].tolist()):
+                place = self._on_canvas(
+                    begin + segment * cell, first + muscle * row, cell - unit, row - unit
+                )
+                shade = [round(30 + active * (each - 30)) for each in colour]
+                canvas.fill(shade, place)
+        names = ("1", "2", "3", "4", "t")
+        return [
+            Label("muscles", left + 8 * unit, top + 4 * unit, _FAINT, 13),
+            *(
+                Label(name, left + 12 * unit, first + row * index, colour, 13, "middle")
+                for index, (name, colour) in enumerate(zip(names, ends, strict=True))
+            ),
+        ]
+
     def _strip(self, canvas: pygame.Surface, strains: Float) -> list[Label]:
         """Draw a row for each of the four springs, a cell for each compartment."""
         unit, fine = self.unit, self._fine
@@ -253,13 +283,8 @@ def _shade(wide: int, high: int, radius: int) -> pygame.Surface:
 
 def status_lines(title: str, history: History, notes: Sequence[str]) -> list[Line]:
     """Give the lines of figures of an episode."""
-    theta, phi = history.trace[-1]
-    lines: list[Line] = [
-        (title, _TEXT),
-        (f"{history.time:.2f} s", _TEXT),
-        (f"θ {theta:+.1f}°   φ {phi:+.1f}°".replace("-", "−"), BASE),
-        (f"error {history.tracking_error:.2f}°", _TEXT),
-    ]
+    lines: list[Line] = [(title, _TEXT), (f"{history.time:.2f} s", _TEXT)]
+    lines += [(text, BASE if leads else _TEXT) for text, leads in history.figures()]
     if history.steps:
         lines.append((f"return {history.total:.1f} of {history.steps}", _TEXT))
     lines += [(each, _ALARM) for each in history.disturbances]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from octoarm_env.arguments import flag
 from octoarm_env.arrays import Float
+from octoarm_env.parameters import ArmParameters
 from octoarm_env.rendering.camera import find_camera, picture_size
 from octoarm_env.rendering.history import History
 
 if TYPE_CHECKING:
     from octoarm_env.rendering.renderer import Renderer, Surfaces
     from octoarm_env.rendering.window import Window
-    from octoarm_env.settings import EpisodeSettings
 
 
 _MEMORY = 256_000_000
@@ -39,6 +39,22 @@ def warn_without_mode() -> None:
         "render was called, but render_mode is None: "
         'make the environment with render_mode="rgb_array".'
     )
+
+
+class Subject(Protocol):
+    """The settings of an environment that is to be seen."""
+
+    @property
+    def arm(self) -> ArmParameters:
+        """The body."""
+
+    @property
+    def title(self) -> str:
+        """Of the picture."""
+
+    @property
+    def text(self) -> str:
+        """The same for settings that look the same."""
 
 
 class Scene(NamedTuple):
@@ -67,7 +83,7 @@ class Pictures:
 
     def __init__(
         self,
-        settings: Sequence[EpisodeSettings],
+        settings: Sequence[Subject],
         render_mode: Any,
         render_modes: Sequence[str],
         width: Any,
@@ -117,7 +133,7 @@ class Pictures:
         _check_begun(history)
         if self._window is None or self._window.lost:
             renderer = self._renderer(0, scene)
-            self._window = Window(renderer, "OctoArm-v0", history.control_period)
+            self._window = Window(renderer, "OctoArm", history.control_period)
             if not self._window.seen:
                 # Not a warning, which checkers of environments may take for an error.
                 print(
@@ -150,7 +166,7 @@ class Pictures:
             self._renderers[text] = Renderer(
                 settings.arm,
                 *scene.task(),
-                settings.target if isinstance(settings.target, str) else "own target",
+                settings.title,
                 size=self._size,
                 camera=self._camera,
                 overlay=self._overlay,

@@ -88,6 +88,25 @@ def test_lengths_and_state_agree(body, seed):
 
 
 @pytest.mark.parametrize("body", BODIES)
+def test_muscles_pull_alike(body):
+    parameters = BODIES[body]
+    state = random_state(parameters, 3)
+    random = np.random.default_rng(3)
+    muscles = random.uniform(-0.2, 0.1, (2, parameters.compartments, 4))
+    arm, twin = Arm(parameters, actuator="direct"), MujocoTwin(parameters)
+    arm.state = state
+    arm.muscles = muscles[0], muscles[1]
+    twin.set_state(state.coordinates, state.rates, state.base)
+    twin.set_muscles(*muscles)
+    times = parameters.timestep * np.arange(1, STEPS + 1)
+    angles = np.degrees(state.base[:2] + times[:, None] * state.base[2:])
+    with_muscles = arm.run(angles)
+    assert np.abs(with_muscles - twin.run(STEPS)).max() < LENGTH_TOLERANCE
+    arm.state = state
+    assert np.abs(arm.run(angles) - with_muscles).max() > 1e-3
+
+
+@pytest.mark.parametrize("body", BODIES)
 def test_energies_agree(body):
     arm, twin, _ = turn_both(BODIES[body], random_state(BODIES[body], 7))
     np.testing.assert_allclose(arm.energy(), twin.energy(), rtol=1e-11)

@@ -132,6 +132,24 @@ class MujocoTwin:
             np.concatenate((self.data.qpos[:2], self.data.qvel[:2])),
         )
 
+    def set_muscles(self, longitudinal: ArrayLike, transverse: ArrayLike) -> None:
+        """Let muscles push, as `octoarm_env.Arm.muscles` does; the energy knows nothing of it.
+
+        A constant force is another rest length: K (l - l_0) - ξ = K (l - (l_0 + ξ / K)).
+
+        Args:
+            longitudinal: ξ_c, (N, 4) [N].
+            transverse: δ_c, (N, 4) [N].
+
+        Raises:
+            ValueError: a shape is wrong or a number is not finite.
+        """
+        body, shape = self._parameters, (self._parameters.compartments, 4)
+        along = _checked(longitudinal, "longitudinal", shape) / body.longitudinal_stiffness
+        across = _checked(transverse, "transverse", shape) / body.transverse_stiffness
+        self.model.tendon_lengthspring[:] = body.rest_length + along.ravel()[:, np.newaxis]
+        self.model.qpos_spring[2:].reshape(-1, 7)[:, 3:] = across
+
     # ---------------------------------------------------------------- outputs
 
     @property

@@ -4,7 +4,8 @@
 use std::ops::Range;
 
 use octoarm_arm::{
-    Arm, ArmLanes, ArmState, DomainError, LinearReadout, ParameterError, check_finite, memory, poll,
+    Arm, ArmLanes, ArmParameters, ArmState, DomainError, LinearReadout, ParameterError,
+    check_finite, memory, poll,
 };
 
 use crate::workers::Workers;
@@ -112,6 +113,17 @@ impl ArmBatch {
     #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
         self.count
+    }
+
+    /// An arm's parameters.
+    #[must_use]
+    pub fn parameters(&self, arm: usize) -> &ArmParameters {
+        self.groups[arm / WIDTH].parameters(arm % WIDTH)
+    }
+
+    /// The group of an arm, and its lane there.
+    pub(crate) fn place_of(&self, arm: usize) -> (&ArmLanes, usize) {
+        (&self.groups[arm / WIDTH], arm % WIDTH)
     }
 
     /// Number of threads that share the work.

@@ -14,6 +14,7 @@ use serde_json::Value;
 use crate::draw::share;
 use crate::orbit::{Orbit, Target, TargetName};
 use crate::reward::Reward;
+use crate::senses::Disturbances;
 
 /// Everything that `gym.make("OctoArm-v0", …)` takes, beside rendering and length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -153,75 +154,18 @@ impl EpisodeConfig {
             ("tracking_weight", Some(self.tracking_weight), above(0.0, 1e6)),
             ("reward_width", Some(self.reward_width), above(0.0, 1e3)),
             ("action_change_weight", Some(self.action_change_weight), Interval::closed(0.0, 1e6)),
-            ("control_period", Some(self.control_period), above(0.0, 10.0)),
             ("length_noise", Some(self.length_noise), Interval::closed(0.0, 1.0)),
             ("action_noise", Some(self.action_noise), Interval::closed(0.0, 90.0)),
         ] {
             value.map_or(Ok(()), |value| range.check(value, || name.to_owned()))?;
         }
-        let steps = self.control_period / self.arm.timestep;
-        let whole = steps.round();
-        if !(1.0..=MAX_CONTROL_STEPS).contains(&whole) || (steps - whole).abs() > 1e-6 * whole {
-            let range = format!(
-                "of whole multiples of arm.timestep ({} s), 1 to {MAX_CONTROL_STEPS} of them",
-                self.arm.timestep
-            );
-            return Err(ParameterError::out_of_range("control_period", self.control_period, range));
-        }
-        for (name, value, most) in
-            [("delay", self.delay, MAX_DELAY), ("dropout", self.dropout, 4 * self.arm.compartments)]
-        {
-            if value > most {
-                let range = format!("[0, {most}] of whole numbers");
-                return Err(ParameterError::out_of_range(name, value, range));
-            }
-        }
-        let most = if self.vary.is_empty() { 1 } else { MAX_BODIES };
-        if !(1..=most).contains(&self.bodies) {
-            let without = if self.vary.is_empty() { " without vary" } else { "" };
-            let range = format!("[1, {most}] of whole numbers{without}");
-            return Err(ParameterError::out_of_range("bodies", self.bodies, range));
-        }
-        for (name, [low, high]) in &self.vary {
-            let entry = |index: usize| move || format!("vary.{name}[{index}]");
-            above(0.0, 10.0).check(*low, entry(0))?;
-            Interval::closed(*low, 10.0).check(*high, entry(1))?;
-        }
+        check_period(self.control_period, self.arm.timestep)?;
+        check_counts(self.delay, self.dropout, &self.arm)?;
         if let Target::Samples(samples) = &self.target {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
         }
-        let drawn = self.draw_bodies()?;
-        drawn.iter().try_for_each(ArmParameters::validate)?;
+        let drawn = draw_bodies(&self.arm, &self.vary, self.bodies, self.body_seed)?;
         Ok(CheckedConfig(Arc::new((self, drawn))))
-    }
-
-    /// The parameters of every body: those of `arm`, each that varies with a factor of its own.
-    fn draw_bodies(&self) -> Result<Vec<ArmParameters>, ParameterError> {
-        let Ok(Value::Object(nominal)) = serde_json::to_value(&self.arm) else {
-            return Err(ParameterError::Format("the body has no JSON form".to_owned()));
-        };
-        // A number that has a point in JSON; counts have none.
-        let varies = |name: &str| -> Option<f64> {
-            let number = nominal.get(name).filter(|value| value.is_f64() && !FIXED.contains(&name));
-            number.and_then(Value::as_f64)
-        };
-        if let Some(name) = self.vary.keys().find(|name| varies(name).is_none()) {
-            let known: Vec<&str> =
-                nominal.keys().map(String::as_str).filter(|name| varies(name).is_some()).collect();
-            let range = format!("of numbers of the body: {}", known.join(", "));
-            return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
-        }
-        let mut generator = Pcg64::seed_from_u64(self.body_seed ^ BODIES_APART);
-        let body = |_| {
-            let mut drawn = nominal.clone();
-            for (name, [low, high]) in &self.vary {
-                let factor = low + (high - low) * share(&mut generator);
-                let value = factor * varies(name).unwrap_or_default();
-                drawn.insert(name.clone(), value.into());
-            }
-            read_fields(Value::Object(drawn))
-        };
-        (0..self.bodies).map(body).collect()
     }
 
     /// Physics steps from one action to the next.
@@ -233,8 +177,20 @@ impl EpisodeConfig {
     /// Bounds of the observed spring lengths \[m\]: the domain's own.
     #[must_use]
     pub fn observation_bounds(&self) -> (f64, f64) {
-        let (low, high) = domain::SPRING_LENGTH;
-        (low * self.arm.rest_length, high * self.arm.rest_length)
+        length_bounds(&self.arm)
+    }
+
+    /// What lies between the agent and the body.
+    #[must_use]
+    pub fn disturbances(&self) -> Disturbances {
+        Disturbances {
+            length_noise: self.length_noise,
+            action_noise: self.action_noise,
+            delay: self.delay,
+            dropout: self.dropout,
+            bounds: self.observation_bounds(),
+            rest_length: self.arm.rest_length,
+        }
     }
 
     /// The closed orbit to follow.
@@ -267,6 +223,90 @@ impl EpisodeConfig {
             action_change_weight: self.action_change_weight,
         }
     }
+}
+
+/// Bounds of an arm's spring lengths \[m\]: the domain's own.
+pub(crate) fn length_bounds(arm: &ArmParameters) -> (f64, f64) {
+    let (low, high) = domain::SPRING_LENGTH;
+    (low * arm.rest_length, high * arm.rest_length)
+}
+
+/// Checks a control period, and gives the physics steps in it.
+pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<u32, ParameterError> {
+    Interval::above(0.0, 10.0).check(control_period, || "control_period".to_owned())?;
+    let steps = control_period / timestep;
+    let whole = steps.round();
+    if !(1.0..=MAX_CONTROL_STEPS).contains(&whole) || (steps - whole).abs() > 1e-6 * whole {
+        let range = format!(
+            "of whole multiples of arm.timestep ({timestep} s), 1 to {MAX_CONTROL_STEPS} of them"
+        );
+        return Err(ParameterError::out_of_range("control_period", control_period, range));
+    }
+    Ok(whole as u32)
+}
+
+/// Checks what is counted of the disturbances.
+pub(crate) fn check_counts(
+    delay: usize,
+    dropout: usize,
+    arm: &ArmParameters,
+) -> Result<(), ParameterError> {
+    for (name, value, most) in
+        [("delay", delay, MAX_DELAY), ("dropout", dropout, 4 * arm.compartments)]
+    {
+        if value > most {
+            let range = format!("[0, {most}] of whole numbers");
+            return Err(ParameterError::out_of_range(name, value, range));
+        }
+    }
+    Ok(())
+}
+
+/// The parameters of every body: those of `arm`, each that varies with a factor of its own.
+pub(crate) fn draw_bodies(
+    arm: &ArmParameters,
+    vary: &BTreeMap<String, [f64; 2]>,
+    bodies: usize,
+    seed: u64,
+) -> Result<Vec<ArmParameters>, ParameterError> {
+    let most = if vary.is_empty() { 1 } else { MAX_BODIES };
+    if !(1..=most).contains(&bodies) {
+        let without = if vary.is_empty() { " without vary" } else { "" };
+        let range = format!("[1, {most}] of whole numbers{without}");
+        return Err(ParameterError::out_of_range("bodies", bodies, range));
+    }
+    for (name, [low, high]) in vary {
+        let entry = |index: usize| move || format!("vary.{name}[{index}]");
+        Interval::above(0.0, 10.0).check(*low, entry(0))?;
+        Interval::closed(*low, 10.0).check(*high, entry(1))?;
+    }
+    let Ok(Value::Object(nominal)) = serde_json::to_value(arm) else {
+        return Err(ParameterError::Format("the body has no JSON form".to_owned()));
+    };
+    // A number that has a point in JSON; counts have none.
+    let varies = |name: &str| -> Option<f64> {
+        let number = nominal.get(name).filter(|value| value.is_f64() && !FIXED.contains(&name));
+        number.and_then(Value::as_f64)
+    };
+    if let Some(name) = vary.keys().find(|name| varies(name).is_none()) {
+        let known: Vec<&str> =
+            nominal.keys().map(String::as_str).filter(|name| varies(name).is_some()).collect();
+        let range = format!("of numbers of the body: {}", known.join(", "));
+        return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
+    }
+    let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
+    let body = |_| {
+        let mut drawn = nominal.clone();
+        for (name, [low, high]) in vary {
+            let factor = low + (high - low) * share(&mut generator);
+            let value = factor * varies(name).unwrap_or_default();
+            drawn.insert(name.clone(), value.into());
+        }
+        let drawn: ArmParameters = read_fields(Value::Object(drawn))?;
+        drawn.validate()?;
+        Ok(drawn)
+    };
+    (0..bodies).map(body).collect()
 }
 
 #[cfg(test)]

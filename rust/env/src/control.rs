@@ -47,11 +47,13 @@ pub(crate) fn control_step(
 }
 
 /// [`control_step`] of several arms: each lane makes its number of physics steps, which is 0 for one
-/// that stands still. Says which lanes did not come to the end of theirs, and why.
+/// that stands still, and `before_each` is told of every one. Says which lanes did not come to the end of
+/// theirs, and why.
 pub(crate) fn control_step_of_lanes(
     lanes: &mut ArmLanes,
     goals: &[[f64; 2]; WIDTH],
     physics_steps: &[u32; WIDTH],
+    mut before_each: impl FnMut(&mut ArmLanes, usize),
 ) -> [Option<DomainError>; WIDTH] {
     let mut failures = [None; WIDTH];
     let arms = lanes.len();
@@ -68,6 +70,7 @@ pub(crate) fn control_step_of_lanes(
             if moves[lane] {
                 commands[lane] =
                     command_at(actuators[lane], starts[lane], goals[lane], step, steps);
+                before_each(lanes, lane);
             }
         }
         if !lanes.step(&commands, &moves) {

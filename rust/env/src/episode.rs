@@ -4,14 +4,15 @@ use octoarm_arm::{Arm, ParameterError};
 
 use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step;
+use crate::limit_cycle::{EpisodeState, LimitCycle, Start, check_phase, check_step};
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Start, Task, check_phase, check_step};
+use crate::task::{Stage, Task};
 
 /// An arm that follows a target.
 #[derive(Clone, Debug)]
 pub struct Episode {
-    task: Task,
+    task: LimitCycle,
     arm: Arm,
 }
 
@@ -33,7 +34,7 @@ impl Episode {
         config: CheckedConfig,
         max_episode_steps: Option<u64>,
     ) -> Result<Self, ParameterError> {
-        let task = Task::new(config, max_episode_steps)?;
+        let task = LimitCycle::new(config, max_episode_steps)?;
         Ok(Self { arm: task.swing().arm.clone(), task })
     }
 
@@ -90,7 +91,7 @@ impl Episode {
     }
 
     fn begin(&mut self, start: Start) -> Outcome {
-        self.arm.place(self.task.arm_of(start.body), self.task.first_state(start));
+        self.arm.place(self.task.body(start), self.task.first_state(start));
         self.task.begin(start);
         self.see();
         self.task.first_outcome(self.arm.base_degrees())
@@ -151,7 +152,7 @@ impl Episode {
         let steps = self.task.physics_steps();
         let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;
         self.see();
-        Ok(self.task.finish(action, self.arm.base_degrees(), failure))
+        Ok(self.task.after(action, self.arm.base_degrees(), failure))
     }
 
     /// The agent's next look at the springs.
@@ -181,9 +182,9 @@ impl Episode {
     /// # Errors
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
     pub fn set_state(&mut self, state: &EpisodeState) -> Result<(), ParameterError> {
-        state.check(&self.task)?;
-        let mut arm = self.task.arm_of(state.body).clone();
-        arm.set_state(&state.arm)?;
+        let (body, standing) = self.task.saved(state)?;
+        let mut arm = body.clone();
+        arm.set_state(standing)?;
         self.arm = arm;
         self.task.set_state(state);
         Ok(())

@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::arm_batch::{ArmBatch, check_len};
 use crate::config::CheckedConfig;
-use crate::control::control_step_of_lanes;
+use crate::limit_cycle::{EpisodeState, LimitCycle};
 use crate::outcome::Outcome;
 use crate::swing::Swing;
-use crate::task::{EpisodeState, Stage, Start, Task, check_actions, check_phase};
+use crate::task::{Stage, Task};
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -29,28 +29,28 @@ pub enum Autoreset {
 
 /// The end of an episode whose place was taken by the next one within the same step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Last {
+pub struct Last<O = Outcome> {
     /// Last spring lengths \[m\].
     pub observation: Vec<f64>,
     /// Outcome of the last step.
-    pub outcome: Outcome,
+    pub outcome: O,
 }
 
 /// A step of all episodes that is made in parts ([`EpisodeBatch::begin_step`]).
 #[derive(Clone, Debug)]
-pub struct PartialStep {
-    actions: Vec<[f64; 2]>,
+pub struct PartialStep<A = [f64; 2], O = Outcome> {
+    actions: Vec<A>,
     observations: Vec<f64>,
-    outcomes: Vec<Option<Outcome>>,
-    lasts: Vec<Option<Last>>,
+    outcomes: Vec<Option<O>>,
+    lasts: Vec<Option<Last<O>>>,
     /// Groups that have made it.
     groups: usize,
 }
 
-impl PartialStep {
+impl<A, O> PartialStep<A, O> {
     /// What the step brought, after its last part.
     #[must_use]
-    pub fn finish(self) -> BatchStep {
+    pub fn finish(self) -> BatchStep<O> {
         let outcomes = self.outcomes.into_iter().flatten().collect();
         BatchStep { observations: self.observations, outcomes, lasts: self.lasts }
     }
@@ -58,18 +58,18 @@ impl PartialStep {
 
 /// What a step of all episodes brought.
 #[derive(Clone, Debug)]
-pub struct BatchStep {
+pub struct BatchStep<O = Outcome> {
     /// Spring lengths \[m\], [`EpisodeBatch::observation_len`] for each episode.
     pub observations: Vec<f64>,
     /// Outcome that each episode's observation belongs to.
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<O>,
     /// The ends of episodes that were replaced, with [`Autoreset::SameStep`]; an entry an episode.
-    pub lasts: Vec<Option<Last>>,
+    pub lasts: Vec<Option<Last<O>>>,
 }
 
-impl BatchStep {
+impl<O> BatchStep<O> {
     /// What the step itself brought every episode: the outcome whose reward and end count.
-    pub fn steps(&self) -> impl Iterator<Item = &Outcome> {
+    pub fn steps(&self) -> impl Iterator<Item = &O> {
         let lasts = self.lasts.iter().map(|last| last.as_ref().map(|last| &last.outcome));
         lasts.zip(&self.outcomes).map(|(last, outcome)| last.unwrap_or(outcome))
     }
@@ -77,43 +77,43 @@ impl BatchStep {
 
 /// What a reset brought, an entry an episode.
 #[derive(Clone, Debug)]
-pub struct BatchReset {
+pub struct BatchReset<O = Outcome> {
     /// Spring lengths \[m\] of all episodes, reset or not.
     pub observations: Vec<f64>,
     /// Outcome of each episode that was reset.
-    pub outcomes: Vec<Option<Outcome>>,
+    pub outcomes: Vec<Option<O>>,
 }
 
 /// Everything a batch needs to go on exactly where it was saved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BatchState {
-    episodes: Vec<EpisodeState>,
+pub struct BatchState<S = EpisodeState> {
+    episodes: Vec<S>,
 }
 
-/// Many arms that each follow a target of their own.
+/// Many arms, each in an episode of its own: by default such that follow a target.
 #[derive(Debug)]
-pub struct EpisodeBatch {
+pub struct EpisodeBatch<T: Task = LimitCycle> {
     arms: ArmBatch,
-    tasks: Vec<Task>,
+    tasks: Vec<T>,
     autoreset: Autoreset,
 }
 
 /// The episodes of a group of arms, and where they write.
-struct GroupStep<'a> {
-    tasks: &'a mut [Task],
-    actions: &'a [[f64; 2]],
+struct GroupStep<'a, T: Task> {
+    tasks: &'a mut [T],
+    actions: &'a [T::Action],
     observations: &'a mut [f64],
-    outcomes: &'a mut [Option<Outcome>],
-    lasts: &'a mut [Option<Last>],
+    outcomes: &'a mut [Option<T::Outcome>],
+    lasts: &'a mut [Option<Last<T::Outcome>>],
 }
 
 /// Begins episodes in lanes, and tells where they stand.
-fn begin(
+fn begin<T: Task>(
     lanes: &mut ArmLanes,
-    tasks: &mut [Task],
-    outcomes: &mut [Option<Outcome>],
-    starts: &[(usize, Start)],
+    tasks: &mut [T],
+    outcomes: &mut [Option<T::Outcome>],
+    starts: &[(usize, T::Start)],
 ) {
     if starts.is_empty() {
         return;
@@ -122,18 +122,23 @@ fn begin(
         .iter()
         .map(|(lane, start)| {
             let task = &tasks[*lane];
-            (*lane, task.arm_of(start.body), task.first_state(*start))
+            (*lane, task.body(*start), task.first_state(*start))
         })
         .collect();
     lanes.place(&arms);
     for (lane, start) in starts {
         tasks[*lane].begin(*start);
-        outcomes[*lane] = Some(tasks[*lane].first_outcome(lanes.base_degrees(*lane)));
+        outcomes[*lane] = Some(tasks[*lane].standing(lanes, *lane));
     }
 }
 
 /// What the agents see after a step, or, in the mask, after a reset; the others' rows stay as they were.
-fn observe(lanes: &ArmLanes, tasks: &mut [Task], observations: &mut [f64], mask: Option<&[bool]>) {
+fn observe<T: Task>(
+    lanes: &ArmLanes,
+    tasks: &mut [T],
+    observations: &mut [f64],
+    mask: Option<&[bool]>,
+) {
     let rows = observations.chunks_exact_mut(lanes.observation_len());
     for (lane, (row, task)) in rows.zip(tasks).enumerate() {
         lanes.lengths_into(lane, row);
@@ -145,31 +150,29 @@ fn observe(lanes: &ArmLanes, tasks: &mut [Task], observations: &mut [f64], mask:
     }
 }
 
-impl GroupStep<'_> {
+impl<T: Task> GroupStep<'_, T> {
     /// A step of the whole group.
     fn run(self, lanes: &mut ArmLanes, autoreset: Autoreset) {
         let Self { tasks, actions, observations, outcomes, lasts } = self;
-        let mut goals = [[0.0; 2]; WIDTH];
         let mut steps = [0; WIDTH];
         let mut starts = Vec::new();
         for (lane, task) in tasks.iter_mut().enumerate() {
             if task.stage() == Stage::Over {
                 starts.push((lane, task.draw(None)));
             } else {
-                goals[lane] = task.command(actions[lane]);
                 steps[lane] = task.physics_steps();
             }
         }
         begin(lanes, tasks, outcomes, &starts);
-        let failures = control_step_of_lanes(lanes, &goals, &steps);
+        let failures = T::advance(lanes, tasks, actions, &steps);
 
         let mut starts = Vec::new();
         for (lane, task) in tasks.iter_mut().enumerate() {
             if steps[lane] == 0 {
                 continue;
             }
-            let outcome = task.finish(actions[lane], lanes.base_degrees(lane), failures[lane]);
-            outcomes[lane] = Some(outcome);
+            let outcome = task.finish(&actions[lane], lanes, lane, failures[lane]);
+            outcomes[lane] = Some(outcome.clone());
             if task.stage() == Stage::Over && autoreset == Autoreset::SameStep {
                 let mut observation = vec![0.0; lanes.observation_len()];
                 lanes.lengths_into(lane, &mut observation);
@@ -204,14 +207,14 @@ impl EpisodeBatch {
             return Err(ParameterError::out_of_range("num_envs", 0, "of positive numbers"));
         }
         let mut tasks = memory::reserved(&what, Some(configs.len()))?;
-        let mut known: Vec<Task> = Vec::new();
+        let mut known: Vec<LimitCycle> = Vec::new();
         for config in configs {
             // Environments are mostly alike, and mostly like the one before.
-            let same = |task: &&Task| task.config().is(config);
+            let same = |task: &&LimitCycle| task.config().is(config);
             let task = match known.iter().rev().find(same) {
                 Some(task) => task.clone(),
                 None => {
-                    known.push(Task::new(config.clone(), max_episode_steps)?);
+                    known.push(LimitCycle::new(config.clone(), max_episode_steps)?);
                     known[known.len() - 1].clone()
                 }
             };
@@ -221,6 +224,54 @@ impl EpisodeBatch {
         resting.extend(tasks.iter().map(|task| &task.swing().arm));
         let arms = ArmBatch::new(&resting, threads)?;
         Ok(Self { arms, tasks, autoreset })
+    }
+
+    /// Bounds of the observed spring lengths \[m\] of every episode: the domain's own.
+    #[must_use]
+    pub fn observation_bounds(&self) -> Vec<(f64, f64)> {
+        self.tasks.iter().map(|task| task.config().observation_bounds()).collect()
+    }
+
+    /// Base angles of an action of 1 \[degrees\].
+    #[must_use]
+    pub fn action_ranges(&self) -> Vec<f64> {
+        self.tasks.iter().map(LimitCycle::action_range).collect()
+    }
+
+    /// The settings of an episode.
+    #[must_use]
+    pub fn config(&self, index: usize) -> &CheckedConfig {
+        self.tasks[index].config()
+    }
+
+    /// The swing of an episode's present body, from whose snapshots it begins.
+    #[must_use]
+    pub fn swing(&self, index: usize) -> &Swing {
+        self.tasks[index].swing()
+    }
+
+    /// The last actions; after a reset, those that the swings were under.
+    #[must_use]
+    pub fn actions(&self) -> Vec<[f64; 2]> {
+        self.tasks.iter().map(LimitCycle::action).collect()
+    }
+
+    /// The teachers' actions now.
+    #[must_use]
+    pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
+        self.tasks.iter().map(LimitCycle::teacher_action).collect()
+    }
+}
+
+impl<T: Task> EpisodeBatch<T> {
+    /// Episodes that wait for their first [`EpisodeBatch::reset`], one for each task, with their bodies.
+    pub(crate) fn of_tasks(
+        tasks: Vec<T>,
+        bodies: &[&Arm],
+        autoreset: Autoreset,
+        threads: Option<usize>,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self { arms: ArmBatch::new(bodies, threads)?, tasks, autoreset })
     }
 
     /// Number of episodes.
@@ -242,30 +293,6 @@ impl EpisodeBatch {
         self.arms.observation_len()
     }
 
-    /// Bounds of the observed spring lengths \[m\] of every episode: the domain's own.
-    #[must_use]
-    pub fn observation_bounds(&self) -> Vec<(f64, f64)> {
-        self.tasks.iter().map(|task| task.config().observation_bounds()).collect()
-    }
-
-    /// Base angles of an action of 1 \[degrees\].
-    #[must_use]
-    pub fn action_ranges(&self) -> Vec<f64> {
-        self.tasks.iter().map(Task::action_range).collect()
-    }
-
-    /// The settings of an episode.
-    #[must_use]
-    pub fn config(&self, index: usize) -> &CheckedConfig {
-        self.tasks[index].config()
-    }
-
-    /// The swing of an episode's present body, from whose snapshots it begins.
-    #[must_use]
-    pub fn swing(&self, index: usize) -> &Swing {
-        self.tasks[index].swing()
-    }
-
     /// What the agents see of the spring lengths \[m\], as [`crate::Episode::observation`], one arm after
     /// the other.
     #[must_use]
@@ -274,18 +301,6 @@ impl EpisodeBatch {
         let rows = lengths.chunks_exact_mut(self.observation_len());
         rows.zip(&self.tasks).for_each(|(row, task)| task.show(row));
         lengths
-    }
-
-    /// The last actions; after a reset, those that the swings were under.
-    #[must_use]
-    pub fn actions(&self) -> Vec<[f64; 2]> {
-        self.tasks.iter().map(Task::action).collect()
-    }
-
-    /// The teachers' actions now.
-    #[must_use]
-    pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
-        self.tasks.iter().map(Task::teacher_action).collect()
     }
 
     /// Whether each episode has ended and waits for a reset.
@@ -302,33 +317,36 @@ impl EpisodeBatch {
 
     /// Where every episode stands, as if it began there.
     #[must_use]
-    pub fn outcomes(&self) -> Vec<Outcome> {
-        self.tasks
-            .iter()
-            .enumerate()
-            .map(|(index, task)| task.first_outcome(self.arms.base_degrees(index)))
-            .collect()
+    pub fn outcomes(&self) -> Vec<T::Outcome> {
+        let standing = |(index, task): (usize, &T)| {
+            let (lanes, lane) = self.arms.place_of(index);
+            task.standing(lanes, lane)
+        };
+        self.tasks.iter().enumerate().map(standing).collect()
+    }
+
+    /// What plays in these episodes.
+    pub(crate) fn tasks(&self) -> &[T] {
+        &self.tasks
     }
 
     /// Begins new episodes: of all, or of those in the mask. A seed starts an episode's generator
-    /// anew; without a phase (in turns of the target, 0 to 1) it is drawn.
+    /// anew; what is not asked for (of a target the phase in turns, 0 to 1) is drawn.
     ///
     /// # Errors
-    /// [`ParameterError`] for a phase outside [0, 1] or another number of seeds or entries in the mask
+    /// [`ParameterError`] for what cannot be asked, or another number of seeds or entries in the mask
     /// than of episodes; nothing is changed then.
     pub fn reset(
         &mut self,
         mask: Option<&[bool]>,
         seeds: &[Option<u64>],
-        phase: Option<f64>,
-    ) -> Result<BatchReset, ParameterError> {
+        ask: Option<T::Ask>,
+    ) -> Result<BatchReset<T::Outcome>, ParameterError> {
         check_len("seed", seeds.len(), self.len())?;
         if let Some(mask) = mask {
             check_len("reset_mask", mask.len(), self.len())?;
         }
-        if let Some(phase) = phase {
-            check_phase(phase)?;
-        }
+        ask.map_or(Ok(()), T::check_ask)?;
         let width = self.observation_len();
         let mut observations = self.observations()?;
         let mut outcomes = vec![None; self.len()];
@@ -344,7 +362,7 @@ impl EpisodeBatch {
                 if let Some(seed) = seeds[lane] {
                     task.seed(seed);
                 }
-                starts.push((lane, task.draw(phase)));
+                starts.push((lane, task.draw(ask)));
             }
             begin(lanes, tasks, outcomes, &starts);
             observe(lanes, tasks, rows, Some(mask));
@@ -352,13 +370,14 @@ impl EpisodeBatch {
         Ok(BatchReset { observations, outcomes })
     }
 
-    /// One control period of all episodes, each entry of an action in [−1, 1].
+    /// One control period of all episodes; each entry of an action is in [−1, 1], of an activation in
+    /// [0, 1].
     ///
     /// # Errors
     /// [`ParameterError`] for another number of actions than of episodes, an action outside its
     /// bounds, an episode that was never reset (or, without autoreset, has ended), or too little
     /// memory; nothing is changed then.
-    pub fn step(&mut self, actions: &[[f64; 2]]) -> Result<BatchStep, ParameterError> {
+    pub fn step(&mut self, actions: &[T::Action]) -> Result<BatchStep<T::Outcome>, ParameterError> {
         let mut step = self.begin_step(actions)?;
         self.advance_step(&mut step, usize::MAX);
         Ok(step.finish())
@@ -371,9 +390,12 @@ impl EpisodeBatch {
     ///
     /// # Errors
     /// As [`EpisodeBatch::step`].
-    pub fn begin_step(&self, actions: &[[f64; 2]]) -> Result<PartialStep, ParameterError> {
+    pub fn begin_step(
+        &self,
+        actions: &[T::Action],
+    ) -> Result<PartialStep<T::Action, T::Outcome>, ParameterError> {
         check_len("actions", actions.len(), self.len())?;
-        let actions = check_actions(actions)?;
+        let actions = T::check_actions(actions)?;
         for (index, task) in self.tasks.iter().enumerate() {
             let stops = match task.stage() {
                 Stage::Waiting => true,
@@ -396,7 +418,11 @@ impl EpisodeBatch {
 
     /// Makes a step's next part: that of at most so many groups of eight episodes. Says whether it was
     /// the last one.
-    pub fn advance_step(&mut self, step: &mut PartialStep, groups: usize) -> bool {
+    pub fn advance_step(
+        &mut self,
+        step: &mut PartialStep<T::Action, T::Outcome>,
+        groups: usize,
+    ) -> bool {
         let (width, autoreset) = (self.observation_len(), self.autoreset);
         let first = step.groups;
         let pieces = self
@@ -428,7 +454,7 @@ impl EpisodeBatch {
 
     /// Saves everything the episodes need to go on.
     #[must_use]
-    pub fn state(&self) -> BatchState {
+    pub fn state(&self) -> BatchState<T::State> {
         let states = self.tasks.iter().zip(self.arms.states());
         BatchState { episodes: states.map(|(task, arm)| task.state(arm)).collect() }
     }
@@ -437,15 +463,16 @@ impl EpisodeBatch {
     ///
     /// # Errors
     /// [`ParameterError`] for a state that does not fit; nothing is changed then.
-    pub fn set_state(&mut self, state: &BatchState) -> Result<(), ParameterError> {
+    pub fn set_state(&mut self, state: &BatchState<T::State>) -> Result<(), ParameterError> {
         check_len("state.episodes", state.episodes.len(), self.len())?;
-        let mut episodes = state.episodes.iter().zip(&self.tasks);
-        episodes.try_for_each(|(episode, task)| episode.check(task))?;
         let mut bodies: Vec<&Arm> = memory::reserved("a state", Some(self.len()))?;
-        bodies.extend(
-            self.tasks.iter().zip(&state.episodes).map(|(task, episode)| task.arm_of(episode.body)),
-        );
-        self.arms.set_arms(&bodies, state.episodes.iter().map(|episode| &episode.arm))?;
+        let mut arms: Vec<&ArmState> = memory::reserved("a state", Some(self.len()))?;
+        for (task, episode) in self.tasks.iter().zip(&state.episodes) {
+            let (body, arm) = task.saved(episode)?;
+            bodies.push(body);
+            arms.push(arm);
+        }
+        self.arms.set_arms(&bodies, arms.into_iter())?;
         for (task, episode) in self.tasks.iter_mut().zip(&state.episodes) {
             task.set_state(episode);
         }

@@ -33,8 +33,10 @@ mod control;
 mod draw;
 mod episode;
 mod episode_batch;
+mod limit_cycle;
 mod orbit;
 mod outcome;
+mod reach;
 mod reward;
 mod senses;
 mod swing;
@@ -48,10 +50,12 @@ pub use episode::Episode;
 pub use episode_batch::{
     Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last, PartialStep,
 };
+pub use limit_cycle::{EpisodeState, LimitCycle, check_actions, check_step};
 pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
+pub use reach::{MUSCLES, Reach, ReachConfig, ReachOutcome, ReachReward, ReachState, distance};
 pub use reward::{Reward, RewardTerms};
-pub use senses::Senses;
+pub use senses::{Disturbances, Senses};
 pub use swing::{Snapshot, Swing, SwingRun, Swings};
-pub use task::{EpisodeState, check_actions, check_step};
+pub use task::{Stage, Task};
 pub use teacher::TeacherClock;

@@ -28,17 +28,17 @@ pub struct Outcome {
 
 /// How a word of an outcome is read.
 #[derive(Clone, Copy, Debug)]
-pub enum Reading {
+pub enum Reading<O = Outcome> {
     /// A number.
-    Number(fn(&Outcome) -> f64),
+    Number(fn(&O) -> f64),
     /// Two angles \[degrees\].
-    Angles(fn(&Outcome) -> [f64; 2]),
+    Angles(fn(&O) -> [f64; 2]),
     /// A count, from 0.
-    Index(fn(&Outcome) -> usize),
+    Index(fn(&O) -> usize),
     /// A flag.
-    Flag(fn(&Outcome) -> bool),
+    Flag(fn(&O) -> bool),
     /// A text, which is mostly not there.
-    Text(fn(&Outcome) -> Option<String>),
+    Text(fn(&O) -> Option<String>),
 }
 
 /// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.

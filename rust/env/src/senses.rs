@@ -7,11 +7,34 @@ use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use crate::config::EpisodeConfig;
 use crate::draw::{choose, share};
 
 /// Sets the generator of disturbances apart from that of phases, which has the same seed.
 const APART: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// What lies between the agent and the body, as the settings have it.
+#[derive(Clone, Copy, Debug)]
+pub struct Disturbances {
+    /// Half width of white noise on every length that is seen \[m\].
+    pub length_noise: f64,
+    /// Half width of white noise on the commanded angles \[degrees\].
+    pub action_noise: f64,
+    /// Control periods that a reading takes.
+    pub delay: usize,
+    /// Springs whose rest length is seen in place of their length.
+    pub dropout: usize,
+    /// Bounds of what is seen \[m\].
+    pub bounds: (f64, f64),
+    /// What is seen of a spring that is not \[m\].
+    pub rest_length: f64,
+}
+
+impl Disturbances {
+    /// Whether there are any.
+    fn any(&self) -> bool {
+        self.length_noise > 0.0 || self.action_noise > 0.0 || self.delay > 0 || self.dropout > 0
+    }
+}
 
 /// The disturbances of an episode, and the readings that are on their way to the agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,21 +54,21 @@ fn draw(generator: &mut Pcg64) -> f64 {
 
 impl Senses {
     /// Those that the settings ask for; most ask for none.
-    pub(crate) fn of(config: &EpisodeConfig) -> Option<Self> {
-        let any = config.length_noise > 0.0
-            || config.action_noise > 0.0
-            || config.delay > 0
-            || config.dropout > 0;
+    pub(crate) fn of(disturbances: &Disturbances) -> Option<Self> {
         let generator = Pcg64::seed_from_u64(APART);
-        any.then(|| Self { generator, unseen: Vec::new(), readings: VecDeque::new() })
+        disturbances.any().then(|| Self {
+            generator,
+            unseen: Vec::new(),
+            readings: VecDeque::new(),
+        })
     }
 
     /// Memory of an episode's readings that are on their way, rounded up \[bytes\].
     #[must_use]
-    pub fn bytes(config: &EpisodeConfig) -> usize {
-        let springs = config.arm.compartments.saturating_mul(4);
+    pub fn bytes(disturbances: &Disturbances, springs: usize) -> usize {
         let reading = springs.saturating_mul(size_of::<f64>()).saturating_add(64);
-        Self::of(config).map_or(0, |_| config.delay.saturating_add(2).saturating_mul(reading))
+        Self::of(disturbances)
+            .map_or(0, |_| disturbances.delay.saturating_add(2).saturating_mul(reading))
     }
 
     pub(crate) fn seed(&mut self, seed: u64) {
@@ -58,46 +81,46 @@ impl Senses {
     }
 
     /// What the base is commanded \[degrees\] in place of what the agent wants.
-    pub(crate) fn disturb(&mut self, config: &EpisodeConfig, command: [f64; 2]) -> [f64; 2] {
-        if config.action_noise == 0.0 {
+    pub(crate) fn disturb(&mut self, disturbances: &Disturbances, command: [f64; 2]) -> [f64; 2] {
+        if disturbances.action_noise == 0.0 {
             return command;
         }
-        command.map(|angle| angle + config.action_noise * draw(&mut self.generator))
+        command.map(|angle| angle + disturbances.action_noise * draw(&mut self.generator))
     }
 
     /// Takes the lengths \[m\] of all springs, and gives what the agent sees in their place. At the begin
     /// of an episode the arm has stood for as long as a reading takes.
-    pub(crate) fn see(&mut self, config: &EpisodeConfig, lengths: &mut [f64]) {
+    pub(crate) fn see(&mut self, disturbances: &Disturbances, lengths: &mut [f64]) {
         let count = if self.readings.is_empty() {
             let mut springs: Vec<usize> = (0..lengths.len()).collect();
             self.unseen.clear();
-            for _ in 0..config.dropout.min(lengths.len()) {
+            for _ in 0..disturbances.dropout.min(lengths.len()) {
                 let spring = choose(&mut self.generator, springs.len());
                 self.unseen.push(springs.swap_remove(spring));
             }
-            config.delay + 1
+            disturbances.delay + 1
         } else {
             self.readings.pop_front();
             1
         };
         for _ in 0..count {
-            let reading = self.reading(config, lengths);
+            let reading = self.reading(disturbances, lengths);
             self.readings.push_back(reading);
         }
         self.show(lengths);
     }
 
-    fn reading(&mut self, config: &EpisodeConfig, lengths: &[f64]) -> Vec<f64> {
+    fn reading(&mut self, disturbances: &Disturbances, lengths: &[f64]) -> Vec<f64> {
         let mut reading = lengths.to_vec();
-        if config.length_noise > 0.0 {
-            let (low, high) = config.observation_bounds();
+        if disturbances.length_noise > 0.0 {
+            let (low, high) = disturbances.bounds;
             for length in &mut reading {
-                let noisy = *length + config.length_noise * draw(&mut self.generator);
+                let noisy = *length + disturbances.length_noise * draw(&mut self.generator);
                 *length = noisy.clamp(low, high);
             }
         }
         for spring in &self.unseen {
-            reading[*spring] = config.arm.rest_length;
+            reading[*spring] = disturbances.rest_length;
         }
         reading
     }
@@ -112,29 +135,29 @@ impl Senses {
     /// Checks what was saved of an arm with so many springs.
     pub(crate) fn check(
         saved: Option<&Self>,
-        config: &EpisodeConfig,
+        disturbances: &Disturbances,
         springs: usize,
     ) -> Result<(), ParameterError> {
         let refuse = |value: &str, range: &str| {
             Err(ParameterError::out_of_range("senses", value.to_owned(), range))
         };
         let Some(saved) = saved else {
-            return match Self::of(config) {
+            return match Self::of(disturbances) {
                 None => Ok(()),
                 Some(_) => refuse("none", "of states with disturbances"),
             };
         };
-        if Self::of(config).is_none() {
+        if Self::of(disturbances).is_none() {
             return refuse("some", "of states without disturbances");
         }
         if saved.unseen.len() > springs || saved.unseen.iter().any(|spring| *spring >= springs) {
             return refuse("springs that there are not", "of the arm's springs");
         }
         let count = saved.readings.len();
-        if count != 0 && count != config.delay + 1 {
+        if count != 0 && count != disturbances.delay + 1 {
             return refuse(&format!("{count} readings"), "of one more than the delay");
         }
-        let (low, high) = config.observation_bounds();
+        let (low, high) = disturbances.bounds;
         for reading in &saved.readings {
             if reading.len() != springs {
                 return refuse(
@@ -156,16 +179,24 @@ impl Senses {
 mod tests {
     use super::*;
 
-    fn senses(text: &str) -> (EpisodeConfig, Senses) {
-        let config = EpisodeConfig::from_json(text).expect("settings");
-        let mut senses = Senses::of(&config).expect("some");
+    const NONE: Disturbances = Disturbances {
+        length_noise: 0.0,
+        action_noise: 0.0,
+        delay: 0,
+        dropout: 0,
+        bounds: (0.001, 0.06),
+        rest_length: 0.02,
+    };
+
+    fn senses(disturbances: Disturbances) -> (Disturbances, Senses) {
+        let mut senses = Senses::of(&disturbances).expect("some");
         senses.seed(1);
-        (config, senses)
+        (disturbances, senses)
     }
 
     #[test]
     fn most_have_none() {
-        assert_eq!(Senses::of(&EpisodeConfig::default()), None);
+        assert_eq!(Senses::of(&NONE), None);
     }
 
     #[test]
@@ -181,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_reading_takes_its_time() {
-        let (config, mut senses) = senses(r#"{"delay": 2}"#);
+        let (config, mut senses) = senses(Disturbances { delay: 2, ..NONE });
         for (number, seen) in [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (4.0, 2.0), (5.0, 3.0)] {
             let mut lengths = [number * 0.01; 80];
             senses.see(&config, &mut lengths);
@@ -198,7 +229,7 @@ mod tests {
 
     #[test]
     fn noise_and_springs_that_are_not_seen() {
-        let (config, mut senses) = senses(r#"{"length_noise": 1e-5, "dropout": 7}"#);
+        let (config, mut senses) = senses(Disturbances { length_noise: 1e-5, dropout: 7, ..NONE });
         let mut before = Vec::new();
         for _ in 0..2 {
             senses.begin();
@@ -206,7 +237,7 @@ mod tests {
                 let mut lengths = [0.021; 80];
                 senses.see(&config, &mut lengths);
                 let unseen: Vec<usize> =
-                    (0..80).filter(|spring| lengths[*spring] == config.arm.rest_length).collect();
+                    (0..80).filter(|spring| lengths[*spring] == config.rest_length).collect();
                 assert_eq!(unseen.len(), 7);
                 let mut named = senses.unseen.clone();
                 named.sort_unstable();
@@ -225,7 +256,7 @@ mod tests {
 
     #[test]
     fn commands_are_disturbed_by_so_much() {
-        let (config, mut senses) = senses(r#"{"action_noise": 5.0}"#);
+        let (config, mut senses) = senses(Disturbances { action_noise: 5.0, ..NONE });
         let off: Vec<f64> =
             (0..1000).flat_map(|_| senses.disturb(&config, [30.0, -30.0])).collect();
         assert!(off.iter().all(|angle| (angle.abs() - 30.0).abs() <= 5.0));
@@ -234,9 +265,9 @@ mod tests {
 
     #[test]
     fn states_that_do_not_fit_are_refused() {
-        let (config, mut senses) = senses(r#"{"delay": 1}"#);
-        let plain = EpisodeConfig::default();
-        let check = |saved: Option<&Senses>, config: &EpisodeConfig| {
+        let (config, mut senses) = senses(Disturbances { delay: 1, ..NONE });
+        let plain = NONE;
+        let check = |saved: Option<&Senses>, config: &Disturbances| {
             Senses::check(saved, config, 80).map_err(|error| error.to_string())
         };
         assert_eq!(check(Some(&senses), &config), Ok(()));

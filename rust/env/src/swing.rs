@@ -257,7 +257,7 @@ impl SwingRun {
             let (command, end) = self.clock.command_towards(goal, self.base);
             let mut steps = [0; WIDTH];
             steps[..lanes.len()].fill(config.physics_steps());
-            let failures = control_step_of_lanes(lanes, &[command; WIDTH], &steps);
+            let failures = control_step_of_lanes(lanes, &[command; WIDTH], &steps, |_, _| ());
             if let Some((lane, failure)) = failures
                 .iter()
                 .enumerate()

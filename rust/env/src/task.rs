@@ -1,20 +1,12 @@
-//! The rules of an episode apart from the arm that it moves: what is commanded, earned and drawn.
+//! What an episode is, apart from the arm that it moves: the rules that a batch of episodes follows.
 
-use octoarm_arm::{Arm, ArmState, DomainError, Interval, ParameterError};
-use rand_core::SeedableRng;
-use rand_pcg::Pcg64;
-use serde::{Deserialize, Serialize};
+use std::fmt::Debug;
 
-use crate::config::CheckedConfig;
-use crate::draw::choose;
-use crate::outcome::Outcome;
-use crate::reward::Reward;
-use crate::senses::Senses;
-use crate::swing::{Snapshot, Swing, Swings};
+use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, Interval, ParameterError};
 
 /// How far an episode is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Stage {
+pub enum Stage {
     /// It waits for its first reset.
     Waiting,
     /// It can be stepped.
@@ -23,381 +15,128 @@ pub(crate) enum Stage {
     Over,
 }
 
-/// Everything an episode needs to go on exactly where it was saved.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EpisodeState {
-    /// State of the arm.
-    pub arm: ArmState,
-    /// Number of the control instant on the target's clock.
-    pub tick: i64,
-    /// Base of the undisturbed clock, `[θ, φ, θ̇, φ̇]` \[degrees, degrees/s\].
-    #[serde(rename = "clock")]
-    pub undisturbed: [f64; 4],
-    /// Action of the last step, each entry in \[−1, 1\].
-    pub action: [f64; 2],
-    /// Whether the episode runs: it was reset and is not over.
-    pub running: bool,
-    /// Whether the arm has left its domain, or the time is over.
-    #[serde(default)]
-    pub over: bool,
-    /// Number of steps since the reset.
-    #[serde(default)]
-    pub elapsed: u64,
-    /// Generator that draws the phases of the next resets.
-    pub generator: Pcg64,
-    /// Body of the episode, one of those that were drawn.
-    #[serde(default, skip_serializing_if = "is_first")]
-    pub body: usize,
-    /// Of the disturbances, where there are any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub senses: Option<Senses>,
-}
-
-// By reference, as serde calls it.
-#[allow(clippy::trivially_copy_pass_by_ref)]
-fn is_first(body: &usize) -> bool {
-    *body == 0
-}
-
-/// Where an episode begins: with a body, at a snapshot of its swing.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Start {
-    pub(crate) body: usize,
-    pub(crate) snapshot: usize,
-}
-
-/// Largest control instant of a saved state: every one up to it is a double.
-const LATEST: u64 = 1 << 53;
-/// Largest angle or rate of a saved state's clock \[degrees, degrees/s\] and base \[rad, rad/s\].
-const WIDEST: f64 = 1e9;
-
-impl EpisodeState {
-    /// Checks what is not the arm's; a state may come from anywhere.
-    pub(crate) fn check(&self, task: &Task) -> Result<(), ParameterError> {
-        let springs = task.swing().arm.observation_len();
-        if self.body >= task.swings.len() {
-            let range = format!("[0, {}]", task.swings.len() - 1);
-            return Err(ParameterError::out_of_range("body", self.body, range));
+impl Stage {
+    /// The stage of a saved episode that runs, or is over, or neither.
+    pub(crate) fn saved(running: bool, over: bool) -> Self {
+        match (running, over) {
+            (true, _) => Self::Running,
+            (false, true) => Self::Over,
+            (false, false) => Self::Waiting,
         }
-        Senses::check(self.senses.as_ref(), &task.config, springs)?;
-        if self.tick.unsigned_abs() > LATEST {
-            let range = format!("[-{LATEST}, {LATEST}]");
-            return Err(ParameterError::out_of_range("tick", self.tick, range));
-        }
-        for (name, values) in [("clock", self.undisturbed), ("arm.base", self.arm.base)] {
-            for (index, value) in values.into_iter().enumerate() {
-                Interval::within(WIDEST).check(value, || format!("{name}[{index}]"))?;
-            }
-        }
-        check_action(self.action, |axis| format!("action[{axis}]")).map(|_| ())
     }
 }
 
-/// An episode apart from the arm that it moves.
-#[derive(Clone, Debug)]
-pub(crate) struct Task {
-    config: CheckedConfig,
-    swings: Swings,
-    body: usize,
-    reward: Reward,
-    action_range: f64,
-    physics_steps: u32,
-    tick: i64,
-    undisturbed: [f64; 4],
-    action: [f64; 2],
-    stage: Stage,
-    elapsed: u64,
-    max_episode_steps: Option<u64>,
-    generator: Pcg64,
-    senses: Option<Senses>,
-}
+/// The rules of an episode: what is commanded, earned and drawn. [`crate::EpisodeBatch`] plays many.
+pub trait Task: Clone + Debug + Send + Sync {
+    /// What an agent does.
+    type Action: Clone + Debug + Send + Sync;
+    /// What a reset may be asked to begin with.
+    type Ask: Copy + Sync;
+    /// Where an episode begins.
+    type Start: Copy;
+    /// What a step or a reset brings beside what the agent sees of the springs.
+    type Outcome: Clone + Debug + Send;
+    /// Everything an episode needs to go on.
+    type State;
 
-impl Task {
-    /// A task that waits for its first [`Task::begin`]; episodes end after `max_episode_steps`.
-    pub(crate) fn new(
-        config: CheckedConfig,
-        max_episode_steps: Option<u64>,
-    ) -> Result<Self, ParameterError> {
-        if max_episode_steps == Some(0) {
-            let range = "of positive numbers";
-            return Err(ParameterError::out_of_range("max_episode_steps", 0, range));
-        }
-        let swings = Swing::shared(&config)?;
-        let amplitude = swings[0].orbit.amplitude();
-        let reward = config.reward(amplitude);
-        // The tracking error is divided by it; a product of two positive numbers may be too small.
-        if !reward.width.is_normal() {
-            let value = format!("{} of an amplitude of {amplitude} degrees", config.reward_width);
-            let range = format!("of widths from {:e} degrees", f64::MIN_POSITIVE);
-            return Err(ParameterError::out_of_range("reward_width", value, range));
-        }
-        Ok(Self {
-            reward,
-            action_range: config.resolved_action_range(amplitude),
-            physics_steps: config.physics_steps(),
-            tick: 0,
-            undisturbed: [0.0; 4],
-            action: [0.0; 2],
-            stage: Stage::Waiting,
-            elapsed: 0,
-            max_episode_steps,
-            generator: Pcg64::seed_from_u64(0),
-            senses: Senses::of(&config),
-            config,
-            swings,
-            body: 0,
-        })
-    }
+    /// How far the episode is.
+    fn stage(&self) -> Stage;
 
-    pub(crate) fn config(&self) -> &CheckedConfig {
-        &self.config
-    }
+    /// Starts the generator of resets anew.
+    fn seed(&mut self, seed: u64);
 
-    /// The swing of this body.
-    pub(crate) fn swing(&self) -> &Swing {
-        &self.swings[self.body]
-    }
+    /// Checks what a reset is asked for.
+    ///
+    /// # Errors
+    /// [`ParameterError`] that names it, its value and its range.
+    fn check_ask(ask: Self::Ask) -> Result<(), ParameterError>;
 
-    /// An arm of a body, at rest.
-    pub(crate) fn arm_of(&self, body: usize) -> &Arm {
-        &self.swings[body].arm
-    }
+    /// Draws where the next episode begins, but for what is asked.
+    fn draw(&mut self, ask: Option<Self::Ask>) -> Self::Start;
 
-    /// Base angle of an action of 1 \[degrees\].
-    pub(crate) fn action_range(&self) -> f64 {
-        self.action_range
-    }
+    /// The body that an episode begins with, at rest.
+    fn body(&self, start: Self::Start) -> &Arm;
+
+    /// The state that its arm begins in.
+    fn first_state(&self, start: Self::Start) -> &ArmState;
+
+    /// Begins an episode there.
+    fn begin(&mut self, start: Self::Start);
+
+    /// Checks the actions of a batch, and gives them as [`Task::advance`] takes them.
+    ///
+    /// # Errors
+    /// [`ParameterError::OutOfRange`] that names the entry.
+    fn check_actions(actions: &[Self::Action]) -> Result<Vec<Self::Action>, ParameterError>;
 
     /// Physics steps from one action to the next.
-    pub(crate) fn physics_steps(&self) -> u32 {
-        self.physics_steps
-    }
+    fn physics_steps(&self) -> u32;
 
-    pub(crate) fn stage(&self) -> Stage {
-        self.stage
-    }
+    /// Moves the arms in the lanes through a control period under their actions, each by its number of
+    /// physics steps, 0 for one that stands still. Says which did not come to the end, and why.
+    fn advance(
+        lanes: &mut ArmLanes,
+        tasks: &mut [Self],
+        actions: &[Self::Action],
+        steps: &[u32; ArmLanes::WIDTH],
+    ) -> [Option<DomainError>; ArmLanes::WIDTH];
 
-    /// Steps since the reset.
-    pub(crate) fn elapsed(&self) -> u64 {
-        self.elapsed
-    }
+    /// The control period under an action is over: what it brought.
+    fn finish(
+        &mut self,
+        action: &Self::Action,
+        lanes: &ArmLanes,
+        lane: usize,
+        failure: Option<DomainError>,
+    ) -> Self::Outcome;
 
-    pub(crate) fn set_elapsed(&mut self, steps: u64) {
-        self.elapsed = steps;
-    }
-
-    pub(crate) fn seed(&mut self, seed: u64) {
-        self.generator = Pcg64::seed_from_u64(seed);
-        if let Some(senses) = &mut self.senses {
-            senses.seed(seed);
-        }
-    }
-
-    /// A snapshot of the swing, at random or the nearest to a phase in turns, 0 to 1, and a body at
-    /// random. The phase is drawn first: so it does not depend on whether bodies vary.
-    pub(crate) fn draw(&mut self, phase: Option<f64>) -> Start {
-        let snapshots = self.swing().snapshots.len();
-        let snapshot = match phase {
-            Some(phase) => self.nearest(phase),
-            None => choose(&mut self.generator, snapshots),
-        };
-        let bodies = self.swings.len();
-        let body = if bodies > 1 { choose(&mut self.generator, bodies) } else { 0 };
-        Start { body, snapshot }
-    }
-
-    /// The snapshot nearest to a phase; of all swings the same, since they have one orbit.
-    fn nearest(&self, phase: f64) -> usize {
-        let turns_a_tick = self.config.control_period / self.swing().orbit.period();
-        let distance = |index: &usize| {
-            let difference = (*index as f64 * turns_a_tick - phase).rem_euclid(1.0);
-            difference.min(1.0 - difference)
-        };
-        let snapshots = 0..self.swing().snapshots.len();
-        snapshots.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
-    }
-
-    /// Begins an episode with a body at a snapshot, into whose state the arm must be put.
-    pub(crate) fn begin(&mut self, start: Start) {
-        let Snapshot { undisturbed, command, .. } =
-            self.swings[start.body].snapshots[start.snapshot];
-        self.body = start.body;
-        self.tick = start.snapshot as i64;
-        self.undisturbed = undisturbed;
-        self.action = self.as_action(command);
-        self.stage = Stage::Running;
-        self.elapsed = 0;
-        if let Some(senses) = &mut self.senses {
-            senses.begin();
-        }
-    }
-
-    /// Whether anything lies between the agent and the body.
-    pub(crate) fn disturbed(&self) -> bool {
-        self.senses.is_some()
-    }
+    /// Where the episode stands, as if it began there.
+    fn standing(&self, lanes: &ArmLanes, lane: usize) -> Self::Outcome;
 
     /// Turns the lengths of the springs, after a reset or a step, into what the agent sees.
-    pub(crate) fn see(&mut self, lengths: &mut [f64]) {
-        if let Some(senses) = &mut self.senses {
-            senses.see(&self.config, lengths);
-        }
-    }
+    fn see(&mut self, lengths: &mut [f64]);
 
     /// Turns the lengths of the springs into what the agent has seen of them.
-    pub(crate) fn show(&self, lengths: &mut [f64]) {
-        if let Some(senses) = &self.senses {
-            senses.show(lengths);
-        }
-    }
+    fn show(&self, lengths: &mut [f64]);
 
-    /// The state of the arm at the begin of an episode.
-    pub(crate) fn first_state(&self, start: Start) -> &ArmState {
-        &self.swings[start.body].snapshots[start.snapshot].arm
-    }
+    /// Saves the episode of an arm in this state.
+    fn state(&self, arm: ArmState) -> Self::State;
 
-    /// What a reset brought.
-    pub(crate) fn first_outcome(&self, base: [f64; 2]) -> Outcome {
-        self.outcome(self.action, base, None)
-    }
+    /// Checks a saved episode, but for the arm's own state, and gives that and its body.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for a state that does not fit.
+    fn saved<'a>(
+        &'a self,
+        state: &'a Self::State,
+    ) -> Result<(&'a Arm, &'a ArmState), ParameterError>;
 
-    fn as_action(&self, command: [f64; 2]) -> [f64; 2] {
-        command.map(|angle| (angle / self.action_range).clamp(-1.0, 1.0))
-    }
-
-    /// What the clock commands now, as a fraction of the action range.
-    pub(crate) fn teacher_action(&self) -> [f64; 2] {
-        self.as_action(self.swing().clock.command(self.tick, self.undisturbed).0)
-    }
-
-    /// The action before; after a reset, that of the swing.
-    pub(crate) fn action(&self) -> [f64; 2] {
-        self.action
-    }
-
-    /// The angles \[degrees\] that the base is commanded by an action, noise included.
-    pub(crate) fn command(&mut self, action: [f64; 2]) -> [f64; 2] {
-        let command = action.map(|share| share * self.action_range);
-        match &mut self.senses {
-            None => command,
-            Some(senses) => senses.disturb(&self.config, command),
-        }
-    }
-
-    /// The clock goes on after a control period under `action`.
-    pub(crate) fn finish(
-        &mut self,
-        action: [f64; 2],
-        base: [f64; 2],
-        failure: Option<DomainError>,
-    ) -> Outcome {
-        self.undisturbed = self.swing().clock.command(self.tick, self.undisturbed).1;
-        self.tick += 1;
-        let before = std::mem::replace(&mut self.action, action);
-        self.elapsed = self.elapsed.saturating_add(1);
-        let mut outcome = self.outcome(before, base, failure);
-        outcome.reward = outcome.terms.total();
-        outcome.truncated = self.max_episode_steps.is_some_and(|most| self.elapsed >= most);
-        if outcome.terminated() || outcome.truncated {
-            self.stage = Stage::Over;
-        }
-        outcome
-    }
-
-    fn outcome(&self, before: [f64; 2], base: [f64; 2], failure: Option<DomainError>) -> Outcome {
-        let target = self.swing().clock.target(self.tick);
-        let (x, y) = (base[0] - target[0], base[1] - target[1]);
-        let tracking_error = (x * x + y * y).sqrt();
-        let mut terms = self.reward.terms(tracking_error, self.action, before);
-        if failure.is_some() {
-            terms.tracking = 0.0;
-        }
-        Outcome {
-            reward: 0.0,
-            terms,
-            base,
-            target,
-            tracking_error,
-            body: self.body,
-            failure,
-            truncated: false,
-        }
-    }
-
-    pub(crate) fn state(&self, arm: ArmState) -> EpisodeState {
-        EpisodeState {
-            arm,
-            tick: self.tick,
-            undisturbed: self.undisturbed,
-            action: self.action,
-            running: self.stage == Stage::Running,
-            over: self.stage == Stage::Over,
-            elapsed: self.elapsed,
-            generator: self.generator.clone(),
-            body: self.body,
-            senses: self.senses.clone(),
-        }
-    }
-
-    pub(crate) fn set_state(&mut self, state: &EpisodeState) {
-        self.tick = state.tick;
-        self.undisturbed = state.undisturbed;
-        self.action = state.action;
-        self.stage = match (state.running, state.over) {
-            (true, _) => Stage::Running,
-            (false, true) => Stage::Over,
-            (false, false) => Stage::Waiting,
-        };
-        self.elapsed = state.elapsed;
-        self.generator = state.generator.clone();
-        self.body = state.body;
-        self.senses.clone_from(&state.senses);
-    }
+    /// Goes on where a checked episode was saved, in whose state the arm is put.
+    fn set_state(&mut self, state: &Self::State);
 }
 
-/// Checks a phase in turns.
-pub(crate) fn check_phase(phase: f64) -> Result<(), ParameterError> {
-    Interval::closed(0.0, 1.0).of("turns").check(phase, || "phase".to_owned())
+/// Checks the length of an episode.
+pub(crate) fn check_limit(max_episode_steps: Option<u64>) -> Result<(), ParameterError> {
+    if max_episode_steps == Some(0) {
+        let range = "of positive numbers";
+        return Err(ParameterError::out_of_range("max_episode_steps", 0, range));
+    }
+    Ok(())
 }
 
 /// How far an action may pass its bounds, and is then taken for the bound: what rounding in single
 /// precision makes of ±1 when wrappers scale actions.
 const ROUNDING: f64 = 8.0 * f32::EPSILON as f64;
 
-/// Checks an action, and gives it without the rounding past its bounds; `name` gives the name of an
-/// entry in the message.
-pub(crate) fn check_action(
-    action: [f64; 2],
-    name: impl Fn(usize) -> String,
-) -> Result<[f64; 2], ParameterError> {
-    for (axis, value) in action.into_iter().enumerate() {
-        // What rounding adds is let in, but not told as allowed.
-        if !Interval::within(1.0 + ROUNDING).contains(value) {
-            Interval::within(1.0).check(value, || name(axis))?;
-        }
+/// Checks an entry of an action, in [`low`, 1], and gives it without the rounding past its bounds.
+pub(crate) fn check_entry(
+    low: f64,
+    value: f64,
+    name: impl FnOnce() -> String,
+) -> Result<f64, ParameterError> {
+    // What rounding adds is let in, but not told as allowed.
+    if !Interval::closed(low - ROUNDING, 1.0 + ROUNDING).contains(value) {
+        Interval::closed(low, 1.0).check(value, name)?;
     }
-    Ok(action.map(|value| value.clamp(-1.0, 1.0)))
-}
-
-/// Checks the actions of a batch as the step of one does, and gives them without what rounding in
-/// single precision adds to their bounds.
-///
-/// # Errors
-/// [`ParameterError::OutOfRange`] that names the entry, each of which is in [−1, 1].
-pub fn check_actions(actions: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, ParameterError> {
-    let actions = actions.iter().enumerate();
-    actions
-        .map(|(index, action)| check_action(*action, |axis| format!("actions[{index}, {axis}]")))
-        .collect()
-}
-
-/// Checks what a step is asked: an action, each entry in [−1, 1], of an episode that runs. Gives the
-/// action, without what rounding in single precision adds to its bounds.
-///
-/// # Errors
-/// [`ParameterError::OutOfRange`] that names the entry, [`ParameterError::NotRunning`].
-pub fn check_step(action: [f64; 2], running: bool) -> Result<[f64; 2], ParameterError> {
-    let action = check_action(action, |axis| format!("action[{axis}]"))?;
-    if running { Ok(action) } else { Err(ParameterError::NotRunning { name: "step".to_owned() }) }
+    Ok(value.clamp(low, 1.0))
 }

@@ -5,20 +5,19 @@ use std::collections::hash_map::Entry;
 
 use numpy::{IntoPyArray, PyArray1};
 use octoarm_arm::{ParameterError, memory};
-use octoarm_env::{Autoreset, BatchStep, CheckedConfig, EpisodeConfig, Outcome, Reading, Word};
+use octoarm_env::{Autoreset, CheckedConfig, EpisodeConfig, Last, Outcome};
 use pyo3::exceptions::PyValueError;
 use pyo3::ffi::PyObject;
-use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyString};
+use pyo3::types::{PyList, PyString};
 
 use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table};
 use crate::errors::{interruptible, invalid};
+use crate::infos::{Infos, Words, infos, step_infos};
 
 /// Observations, rewards, terminations, truncations, infos.
 type Step<'py> =
     (Table<'py>, Vector<'py>, Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>, Infos<'py>);
-type Infos<'py> = Bound<'py, PyDict>;
 
 /// Many episodes; `octoarm_env.OctoArmVectorEnv` documents it.
 #[pyclass(module = "octoarm_env._core")]
@@ -26,88 +25,14 @@ pub(crate) struct EpisodeBatch {
     inner: octoarm_env::EpisodeBatch,
 }
 
-/// A row of flags, and the name of the key that it belongs to.
-fn set_mask(infos: &Infos<'_>, key: &str, mask: &[bool]) -> PyResult<()> {
-    infos.set_item(format!("_{key}"), PyArray1::from_slice(infos.py(), mask))
+fn words() -> Words<Outcome> {
+    Outcome::INFO.iter().map(|word| (word.name, word.reading)).collect()
 }
 
-/// The infos of the environments that have one, as `gymnasium.vector.VectorEnv` joins them: an array
-/// a key, zeros for the others, and a mask.
-fn infos<'py>(py: Python<'py>, outcomes: &[Option<&Outcome>]) -> PyResult<Infos<'py>> {
-    let infos = PyDict::new(py);
-    let mask: Vec<bool> = outcomes.iter().map(Option::is_some).collect();
-    if !mask.contains(&true) {
-        return Ok(infos);
-    }
-    for Word { name, reading, .. } in Outcome::INFO {
-        let some = || outcomes.iter().copied();
-        match reading {
-            Reading::Number(read) => {
-                let values: Vec<f64> = some().map(|outcome| outcome.map_or(0.0, read)).collect();
-                infos.set_item(name, values.into_pyarray(py))?;
-            }
-            Reading::Angles(read) => {
-                let values = some().flat_map(|outcome| outcome.map_or([0.0; 2], read)).collect();
-                infos.set_item(name, table(py, values, 2)?)?;
-            }
-            Reading::Index(read) => {
-                let index = |outcome| read(outcome) as i64;
-                let values: Vec<i64> = some().map(|outcome| outcome.map_or(0, index)).collect();
-                infos.set_item(name, values.into_pyarray(py))?;
-            }
-            Reading::Flag(read) => {
-                let values: Vec<bool> = some().map(|outcome| outcome.is_some_and(read)).collect();
-                infos.set_item(name, values.into_pyarray(py))?;
-            }
-            Reading::Text(read) => {
-                let texts: Vec<Option<String>> = some().map(|outcome| read(outcome?)).collect();
-                let mask: Vec<bool> = texts.iter().map(Option::is_some).collect();
-                if mask.contains(&true) {
-                    infos.set_item(name, objects(py, texts)?)?;
-                    set_mask(&infos, name, &mask)?;
-                }
-                continue;
-            }
-        }
-        set_mask(&infos, name, &mask)?;
-    }
-    Ok(infos)
-}
-
-/// A NumPy array of Python objects.
-fn objects<'py, T: IntoPyObject<'py>>(
-    py: Python<'py>,
-    values: Vec<Option<T>>,
-) -> PyResult<Bound<'py, PyAny>> {
-    let arguments = PyDict::new(py);
-    arguments.set_item("dtype", "object")?;
-    let array = py.import("numpy")?.call_method("empty", (values.len(),), Some(&arguments))?;
-    for (index, value) in values.into_iter().enumerate() {
-        if let Some(value) = value {
-            array.set_item(index, value)?;
-        }
-    }
-    Ok(array)
-}
-
-/// The infos of a step; those of episodes that ended and began anew within it are under `final_info`.
-fn step_infos<'py>(py: Python<'py>, step: &mut BatchStep) -> PyResult<Infos<'py>> {
-    let outcomes: Vec<Option<&Outcome>> = step.outcomes.iter().map(Some).collect();
-    let infos = infos(py, &outcomes)?;
-    let mask: Vec<bool> = step.lasts.iter().map(Option::is_some).collect();
-    if mask.contains(&true) {
-        let ends: Vec<Option<&Outcome>> =
-            step.lasts.iter().map(|last| last.as_ref().map(|last| &last.outcome)).collect();
-        infos.set_item(intern!(py, "final_info"), self::infos(py, &ends)?)?;
-        set_mask(&infos, "final_info", &mask)?;
-        let observations: Vec<Option<Vector<'py>>> = std::mem::take(&mut step.lasts)
-            .into_iter()
-            .map(|last| last.map(|last| last.observation.into_pyarray(py)))
-            .collect();
-        infos.set_item(intern!(py, "final_obs"), objects(py, observations)?)?;
-        set_mask(&infos, "final_obs", &mask)?;
-    }
-    Ok(infos)
+/// The mode of this name.
+pub(crate) fn autoreset_mode(name: &str) -> PyResult<Autoreset> {
+    serde_json::from_value(name.into())
+        .map_err(|error| PyValueError::new_err(format!("autoreset = {name:?}: {error}")))
 }
 
 /// The actions of a step of so many episodes, (N, 2), after the checks that the step of a batch makes.
@@ -132,9 +57,7 @@ impl EpisodeBatch {
         autoreset: &str,
         threads: Option<usize>,
     ) -> PyResult<Self> {
-        let autoreset: Autoreset = serde_json::from_value(autoreset.into()).map_err(|error| {
-            PyValueError::new_err(format!("autoreset = {autoreset:?}: {error}"))
-        })?;
+        let autoreset = autoreset_mode(autoreset)?;
         // Environments are mostly alike: the same text is not read again.
         let mut known: HashMap<*mut PyObject, CheckedConfig> = HashMap::new();
         let what = format!("num_envs = {}", configs.len());
@@ -167,7 +90,7 @@ impl EpisodeBatch {
         let reset =
             py.detach(|| self.inner.reset(mask.as_deref(), &seeds, phase)).map_err(invalid)?;
         let outcomes: Vec<Option<&Outcome>> = reset.outcomes.iter().map(Option::as_ref).collect();
-        let infos = infos(py, &outcomes)?;
+        let infos = infos(py, words(), &outcomes)?;
         Ok((table(py, reset.observations, self.inner.observation_len())?, infos))
     }
 
@@ -177,7 +100,8 @@ impl EpisodeBatch {
         let rewards: Vec<f64> = step.steps().map(|outcome| outcome.reward).collect();
         let terminated: Vec<bool> = step.steps().map(Outcome::terminated).collect();
         let truncated: Vec<bool> = step.steps().map(|outcome| outcome.truncated).collect();
-        let infos = step_infos(py, &mut step)?;
+        let seen = |last: Last| Ok(last.observation.into_pyarray(py));
+        let infos = step_infos(py, words, &mut step, seen)?;
         Ok((
             table(py, step.observations, self.inner.observation_len())?,
             rewards.into_pyarray(py),
@@ -194,7 +118,7 @@ impl EpisodeBatch {
     /// The infos of all episodes as they stand, as if they began there.
     fn infos<'py>(&self, py: Python<'py>) -> PyResult<Infos<'py>> {
         let outcomes = self.inner.outcomes();
-        infos(py, &outcomes.iter().map(Some).collect::<Vec<Option<&Outcome>>>())
+        infos(py, words(), &outcomes.iter().map(Some).collect::<Vec<Option<&Outcome>>>())
     }
 
     fn save(&self) -> PyResult<String> {
@@ -253,30 +177,28 @@ impl EpisodeBatch {
 
     /// Centres of an arm's planes.
     fn positions<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Table<'py>> {
-        self.check_index(index)?;
+        check_index(index, self.inner.len())?;
         table(py, self.inner.arms().state(index).positions().into_flattened(), 3)
     }
 
     /// Ends of an arm's longitudinal springs.
     fn joints<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Joints<'py>> {
-        self.check_index(index)?;
+        check_index(index, self.inner.len())?;
         let state = self.inner.arms().state(index);
         joints_array(py, state.joints(self.inner.swing(index).arm.parameters()))
     }
 }
 
 impl EpisodeBatch {
-    fn check_index(&self, index: usize) -> PyResult<()> {
-        if index < self.inner.len() {
-            return Ok(());
-        }
-        Err(PyValueError::new_err(format!(
-            "index = {index}: expected 0 to {}",
-            self.inner.len() - 1
-        )))
-    }
-
     fn orbits(&self) -> impl Iterator<Item = &octoarm_env::Orbit> {
         (0..self.inner.len()).map(|index| &*self.inner.swing(index).orbit)
     }
+}
+
+/// Refuses the index of an environment that there is not.
+pub(crate) fn check_index(index: usize, count: usize) -> PyResult<()> {
+    if index < count {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("index = {index}: expected 0 to {}", count - 1)))
 }

@@ -6,6 +6,8 @@ mod arrays;
 mod episode;
 mod episode_batch;
 mod errors;
+mod infos;
+mod reach;
 
 /// The compiled core of `octoarm_env`; use the typed package around it.
 #[pyo3::pymodule]
@@ -26,6 +28,8 @@ mod _core {
     #[pymodule_export]
     use crate::errors::DomainError;
     use crate::errors::invalid;
+    #[pymodule_export]
+    use crate::reach::{ReachBatch, drawn_reach_bodies, reach_rewards};
 
     /// The named bodies with all their parameters, as JSON text.
     #[pyfunction]

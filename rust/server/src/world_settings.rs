@@ -127,7 +127,10 @@ const EPISODE_BYTES: usize = 1 << 10;
 pub(crate) fn memory(settings: &WorldSettings) -> usize {
     let (config, arms) = (&settings.config, settings.num_envs.unwrap_or(1));
     let groups = arms.div_ceil(ArmLanes::WIDTH);
-    let arms = arms.saturating_mul(EPISODE_BYTES.saturating_add(Senses::bytes(config)));
+    let arms = arms.saturating_mul(EPISODE_BYTES.saturating_add(Senses::bytes(
+        &config.disturbances(),
+        config.arm.compartments.saturating_mul(4),
+    )));
     let groups = groups.saturating_mul(ArmLanes::bytes(config.arm.compartments));
     Swing::bytes(config).saturating_add(groups).saturating_add(arms)
 }
