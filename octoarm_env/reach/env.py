@@ -280,6 +280,11 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
         return self._core.activations(0)
 
     @property
+    def time(self) -> float:
+        """Since the reset [s]."""
+        return self._core.elapsed[0] * self._settings.control_period
+
+    @property
     def arm_joints(self) -> Float:
         """Ends of the springs, as :attr:`octoarm_env.Arm.joints`, (N + 1, 4, 3) [m]."""
         return self._core.joints(0)

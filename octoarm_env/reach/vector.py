@@ -144,6 +144,7 @@ class OctoArmReachVectorEnv(BatchEnv):
             "activations": lambda: map(self._core.activations, range(self.num_envs)),
             "compute_reward": lambda: [self.compute_reward] * self.num_envs,
             "settings": lambda: [self._settings] * self.num_envs,
+            "time": lambda: [self._settings.control_period * each for each in self._core.elapsed],
         }
 
     def _scene(self, index: int, history: Any) -> Scene:

@@ -1,4 +1,4 @@
-"""The paper's tables and figures: emulation tasks (section 3.1) and limit cycles (section 3.2)."""
+"""The paper's tables and figures (sections 3.1 and 3.2), and what it names next (section 4)."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ EXPERIMENTS = {
     ),
     "floquet": Entry(
         "cycles.floquet", "What decides whether a cycle is held: exponents of the loop."
+    ),
+    "bend-propagation": Entry(
+        "muscles.bend_propagation", "A readout lets a bend travel along the arm (section 4)."
     ),
 }
 """Every experiment by its name on the command line."""

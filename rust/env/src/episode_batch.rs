@@ -309,6 +309,12 @@ impl<T: Task> EpisodeBatch<T> {
         self.tasks.iter().map(|task| task.stage() == Stage::Over).collect()
     }
 
+    /// Steps of each episode since its reset.
+    #[must_use]
+    pub fn elapsed(&self) -> Vec<u64> {
+        self.tasks.iter().map(Task::elapsed).collect()
+    }
+
     /// Whether every episode was begun by a reset.
     #[must_use]
     pub fn begun(&self) -> bool {

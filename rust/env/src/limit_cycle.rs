@@ -154,11 +154,6 @@ impl LimitCycle {
         self.action_range
     }
 
-    /// Steps since the reset.
-    pub(crate) fn elapsed(&self) -> u64 {
-        self.elapsed
-    }
-
     pub(crate) fn set_elapsed(&mut self, steps: u64) {
         self.elapsed = steps;
     }
@@ -257,6 +252,10 @@ impl Task for LimitCycle {
 
     fn stage(&self) -> Stage {
         self.stage
+    }
+
+    fn elapsed(&self) -> u64 {
+        self.elapsed
     }
 
     fn seed(&mut self, seed: u64) {

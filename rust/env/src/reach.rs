@@ -335,6 +335,10 @@ impl Task for Reach {
         self.stage
     }
 
+    fn elapsed(&self) -> u64 {
+        self.elapsed
+    }
+
     fn seed(&mut self, seed: u64) {
         self.generator = Pcg64::seed_from_u64(seed);
         if let Some(senses) = &mut self.senses {

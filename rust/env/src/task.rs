@@ -42,6 +42,9 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// How far the episode is.
     fn stage(&self) -> Stage;
 
+    /// Steps since the reset.
+    fn elapsed(&self) -> u64;
+
     /// Starts the generator of resets anew.
     fn seed(&mut self, seed: u64);
 

@@ -163,6 +163,12 @@ impl ReachBatch {
         self.inner.ended()
     }
 
+    /// Steps since the resets.
+    #[getter]
+    fn elapsed(&self) -> Vec<u64> {
+        self.inner.elapsed()
+    }
+
     #[getter]
     fn threads(&self) -> usize {
         self.inner.arms().threads()

@@ -1,0 +1,1 @@
+"""What muscles do: the experiment that the paper names next (section 4)."""
