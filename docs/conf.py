@@ -87,7 +87,8 @@ def shorten_markdown(
 ) -> None:
     """Of a docstring in Markdown the reference shows the first line: it has a page of its own."""
     if MARKDOWN_HEADING.search("\n".join(lines)):
-        lines[:] = [lines[0], "", "Spaces, reward and arguments: :doc:`/environments/octoarm`.", ""]
+        page = "reaching" if "Reach" in name else "octoarm"
+        lines[:] = [lines[0], "", f"Spaces, reward and arguments: :doc:`/environments/{page}`.", ""]
 
 
 def keep_colons(

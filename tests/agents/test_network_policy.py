@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import subprocess
@@ -155,7 +156,6 @@ def test_parameters_are_counted() -> None:
         ({"mean": np.full(SPRINGS, np.nan)}, "not finite"),
         ({"scale": np.ones(3)}, r"\(3,\)"),
         ({"layers": ((np.ones((2, 7), np.float32), np.ones(2, np.float32)),)}, "80 inputs"),
-        ({"layers": ((np.ones((3, 80), np.float32), np.ones(3, np.float32)),)}, "3 outputs"),
     ],
 )
 def test_bad_networks(changes: dict[str, Any], message: str) -> None:
@@ -312,16 +312,12 @@ def test_a_readout_acts_in_double_precision(tmp_path: Path, bias: bool) -> None:
         assert state == ("state",)
 
 
-@pytest.mark.parametrize(
-    ("readout", "message"),
-    [
-        (Readout(), "readout is not fitted"),
-        (Readout().fit(np.ones((9, 80)), np.ones((9, 3))), "layers lead to 3 outputs, expected 2"),
-    ],
-)
-def test_other_readouts_are_no_policies(readout: Readout, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        readout_network(readout)
+def test_other_readouts_are_no_policies() -> None:
+    with pytest.raises(ValueError, match="readout is not fitted"):
+        readout_network(Readout())
+    network = readout_network(Readout().fit(np.ones((9, 80)), np.ones((9, 3))))
+    with pytest.raises(ValueError, match="layers lead to 3 outputs, expected 2"):
+        dataclasses.replace(make_policy(), network=network)
 
 
 def test_no_pickle_is_read(tmp_path: Path) -> None:

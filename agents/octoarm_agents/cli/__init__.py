@@ -17,6 +17,7 @@ from octoarm_agents.cli import (
     dataset,
     demo,
     evaluate,
+    reach,
     record,
     reproduce,
     serve,
@@ -42,6 +43,7 @@ for panel, commands in (
 ):
     for command in commands:
         app.command(rich_help_panel=panel)(command)
+app.add_typer(reach.app, name="reach", rich_help_panel="Learn")
 app.add_typer(analyse.app, name="analyse", rich_help_panel="The body")
 app.add_typer(calibrate.app, name="calibrate", rich_help_panel="The body")
 app.command(

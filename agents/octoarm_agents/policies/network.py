@@ -138,10 +138,13 @@ class Network:
                     f"expected {width} inputs"
                 )
             width = len(weights)
-        if width != 2:
-            raise ValueError(f"layers lead to {width} outputs, expected 2")
         if not all(np.isfinite(each).all() for each in self.arrays().values()):
             raise ValueError("the network holds numbers that are not finite")
+
+    @property
+    def outputs(self) -> int:
+        """Entries of an action."""
+        return len(self.layers[-1][0])
 
     @property
     def springs(self) -> int:
@@ -160,7 +163,7 @@ class Network:
     def actions(
         self, lengths: NDArray[np.float64], state: State | None
     ) -> tuple[NDArray[np.float32], State | None]:
-        """Act on lengths (n, springs) [m]; actions (n, 2) in [-1, 1], and the next memory."""
+        """Act on lengths (n, springs) [m]; actions (n, outputs) in [-1, 1], the next memory."""
         normalised = np.clip((lengths - self.mean) * self.scale, -self.clip, self.clip)
         values: Numbers = normalised.astype(self.layers[0][0].dtype)
         if self.memory is not None:

@@ -56,6 +56,8 @@ class Policy:
             raise ValueError(
                 f"network takes {self.network.springs} lengths, the body has {springs} springs"
             )
+        if self.network.outputs != 2:
+            raise ValueError(f"layers lead to {self.network.outputs} outputs, expected 2")
         if set(self.settings) != set(SETTINGS):
             raise ValueError(f"settings holds {sorted(self.settings)}, expected {sorted(SETTINGS)}")
 
