@@ -39,13 +39,15 @@ def test_gymnasium_checks_it() -> None:
     check_env(gym.make("OctoArmReach-v0", render_mode="rgb_array").unwrapped)
 
 
+@pytest.mark.parametrize("rates", [False, True])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_batch_is_the_single_one_to_the_bit(mode: AutoresetMode) -> None:
+def test_batch_is_the_single_one_to_the_bit(mode: AutoresetMode, rates: bool) -> None:
     arguments: dict[str, Any] = {
         "reward_type": "dense",
         "length_noise": 1e-5,
         "delay": 1,
         "dropout": 3,
+        "observe_rates": rates,
         "bodies": 2,
         "vary": {"longitudinal_stiffness": (0.8, 1.2)},
     }
@@ -217,8 +219,26 @@ def test_goals_are_those_that_are_shipped_or_given() -> None:
     np.testing.assert_array_equal(env.reset(seed=1)[0]["desired_goal"], (0.1, 0.0, 0.3))
 
 
-def test_a_saved_episode_goes_on() -> None:
-    env = OctoArmReachEnv(delay=2, length_noise=1e-6)
+def test_rates_are_those_of_the_lengths() -> None:
+    env, plain = OctoArmReachEnv(observe_rates=True), OctoArmReachEnv()
+    seen, _ = env.reset(seed=0)
+    plain.reset(seed=0)
+    np.testing.assert_array_equal(seen["observation"][80:], 0.0)
+    for action in actions(4):
+        before = seen["observation"][:80]
+        seen, *_ = env.step(action)
+        np.testing.assert_array_equal(
+            seen["observation"][:80], plain.step(action)[0]["observation"]
+        )
+        rates = (seen["observation"][:80] - before) / 0.05
+        np.testing.assert_array_equal(seen["observation"][80:], rates)
+    assert np.abs(rates).max() > 1e-3
+    assert env.observation_space.contains(seen)
+
+
+@pytest.mark.parametrize("rates", [False, True])
+def test_a_saved_episode_goes_on(rates: bool) -> None:
+    env = OctoArmReachEnv(delay=2, length_noise=1e-6, observe_rates=rates)
     env.reset(seed=3)
     moves = actions(8)
     for action in moves[:4]:
@@ -271,6 +291,7 @@ def test_every_argument_survives_json() -> None:
         ({"goals": [[0.0, 0.0]]}, r"goals\[0\] = "),
         ({"goals": [[0.0, 0.0, 1.3]]}, r"goals\[0\]\[2\] = 1.3"),
         ({"goals": [[0.0, np.nan, 0.3]]}, r"goals\[0\]\[1\]"),
+        ({"observe_rates": 1}, "observe_rates = 1"),
         ({"delay": -1}, "delay = -1"),
         ({"length_noise": 2.0}, "length_noise = 2"),
         ({"bodies": 2}, "bodies = 2"),

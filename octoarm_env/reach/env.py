@@ -54,7 +54,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
 
     | Key             | Space                 | Meaning                                     |
     |-----------------|-----------------------|---------------------------------------------|
-    | `observation`   | `Box(80,)`, float64   | lengths of the longitudinal springs [m], as in `OctoArm-v0` |
+    | `observation`   | `Box(80,)`, float64; with `observe_rates` `Box(160,)` | lengths of the longitudinal springs [m], as in `OctoArm-v0`; then their rates [m/s] |
     | `achieved_goal` | `Box(3,)`, float64    | where the tip is [m]; the base is at the origin, the arm hangs along +z |
     | `desired_goal`  | `Box(3,)`, float64    | where it should be [m]                      |
 
@@ -88,6 +88,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
     | `max_force`          | `1.0`      | of a fully active muscle at the base, in (0, 100] N |
     | `activation_time`    | `0.1`      | time constant of the activation, in (0, 10] s   |
     | `distance_threshold` | `0.02`     | see Rewards, in (0, 1] m                         |
+    | `observe_rates`      | `False`    | whether `observation` holds, after the 80 lengths, how fast each has changed in the last control period on average [m/s], 0 after a reset |
     | `goals`              | `None`     | array (G, 3) of goals in metres; None: :func:`octoarm_env.reach.reachable_goals`, those of the default body |
     | `arm`                | `None`     | the body, as in `OctoArm-v0`                    |
     | `length_noise`, `delay`, `dropout` | `0` | what disturbs the observed lengths, as in `OctoArm-v0` |
@@ -114,6 +115,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
         max_force: float = 1.0,
         activation_time: float = 0.1,
         distance_threshold: float = 0.02,
+        observe_rates: bool = False,
         goals: ArrayLike | None = None,
         arm: BodyLike | None = None,
         length_noise: float = 0.0,
@@ -137,6 +139,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
             activation_time,
             distance_threshold,
             reward_type,
+            observe_rates,
             goals,  # type: ignore[arg-type]  # brought into its plain form there
             length_noise,
             delay,
@@ -312,7 +315,15 @@ def goal_spaces(settings: ReachSettings, core: ReachBatch) -> tuple[Any, Any]:
     """Give the spaces of an environment."""
     bound = reach_bound(settings.arm)
     point = spaces.Box(-bound, bound, (3,), np.float64)
-    seen = spaces.Box(*core.observation_bounds, (core.observation_len,), np.float64)
+    low, high = core.observation_bounds
+    fastest = (high - low) / settings.control_period
+    springs = 4 * settings.arm.compartments
+    rates = core.observation_len - springs
+    seen = spaces.Box(
+        np.repeat((low, -fastest), (springs, rates)),
+        np.repeat((high, fastest), (springs, rates)),
+        dtype=np.float64,
+    )
     observation = spaces.Dict({"observation": seen, "achieved_goal": point, "desired_goal": point})
     return observation, spaces.Box(0.0, 1.0, (core.action_len,), np.float32)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from octoarm_env._core import drawn_reach_bodies, reach_rewards
-from octoarm_env.arguments import number, whole_number
+from octoarm_env.arguments import flag, number, whole_number
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, plain
 from octoarm_env.settings import body_factors
@@ -45,6 +45,7 @@ class ReachSettings:
         activation_time: time constant with which the activation follows the action [s].
         distance_threshold: distance from the goal at which it counts as reached [m].
         reward_type: ``"sparse"`` or ``"dense"``.
+        observe_rates: whether the agent sees, after the lengths, how fast they have changed.
         goals: what is drawn from, rows (x, y, z) [m]; None: :func:`reachable_goals`.
         length_noise: half width of white noise on the lengths that are seen [m].
         delay: control periods that a reading takes to the agent.
@@ -61,6 +62,7 @@ class ReachSettings:
     activation_time: float = 0.1
     distance_threshold: float = 0.02
     reward_type: Literal["sparse", "dense"] = "sparse"
+    observe_rates: bool = False
     goals: tuple[Point, ...] | None = None
     length_noise: float = 0.0
     delay: int = 0
@@ -83,6 +85,7 @@ class ReachSettings:
             "arm": arm,
             "segments": whole_number("segments", self.segments, 1, arm.compartments),
             "reward_type": self.reward_type,
+            "observe_rates": flag("observe_rates", self.observe_rates),
             "goals": None if self.goals is None else _goals(self.goals, reach_bound(arm)),
             "delay": whole_number("delay", self.delay, 0),
             "dropout": whole_number("dropout", self.dropout, 0),

@@ -33,7 +33,7 @@ class OctoArmReachVectorEnv(BatchEnv):
     Args:
         num_envs: number of environments N, at least 1.
         reward_type, control_period, segments, max_force, activation_time, distance_threshold,
-            goals, arm, length_noise, delay, dropout, vary, bodies, body_seed: as in
+            observe_rates, goals, arm, length_noise, delay, dropout, vary, bodies, body_seed: as in
             `OctoArmReachEnv`, for all.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
         width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
@@ -60,6 +60,7 @@ class OctoArmReachVectorEnv(BatchEnv):
         max_force: float = 1.0,
         activation_time: float = 0.1,
         distance_threshold: float = 0.02,
+        observe_rates: bool = False,
         goals: ArrayLike | None = None,
         arm: BodyLike | None = None,
         length_noise: float = 0.0,
@@ -87,6 +88,7 @@ class OctoArmReachVectorEnv(BatchEnv):
             activation_time,
             distance_threshold,
             reward_type,
+            observe_rates,
             goals,  # type: ignore[arg-type]  # brought into its plain form there
             length_noise,
             delay,

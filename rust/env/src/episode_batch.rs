@@ -139,7 +139,8 @@ fn observe<T: Task>(
     observations: &mut [f64],
     mask: Option<&[bool]>,
 ) {
-    let rows = observations.chunks_exact_mut(lanes.observation_len());
+    let width = observations.len() / tasks.len();
+    let rows = observations.chunks_exact_mut(width);
     for (lane, (row, task)) in rows.zip(tasks).enumerate() {
         lanes.lengths_into(lane, row);
         if mask.is_none_or(|mask| mask[lane]) {
@@ -174,7 +175,7 @@ impl<T: Task> GroupStep<'_, T> {
             let outcome = task.finish(&actions[lane], lanes, lane, failures[lane]);
             outcomes[lane] = Some(outcome.clone());
             if task.stage() == Stage::Over && autoreset == Autoreset::SameStep {
-                let mut observation = vec![0.0; lanes.observation_len()];
+                let mut observation = vec![0.0; task.observation_len(lanes.observation_len())];
                 lanes.lengths_into(lane, &mut observation);
                 task.see(&mut observation);
                 lasts[lane] = Some(Last { observation, outcome });
@@ -287,20 +288,25 @@ impl<T: Task> EpisodeBatch<T> {
         &self.arms
     }
 
-    /// Number of spring lengths of an arm.
+    /// Number of numbers that an agent sees: the spring lengths of an arm, and what a task adds.
     #[must_use]
     pub fn observation_len(&self) -> usize {
-        self.arms.observation_len()
+        self.tasks[0].observation_len(self.arms.observation_len())
     }
 
     /// What the agents see of the spring lengths \[m\], as [`crate::Episode::observation`], one arm after
     /// the other.
     #[must_use]
     pub fn shown(&self) -> Vec<f64> {
-        let mut lengths = self.arms.lengths();
-        let rows = lengths.chunks_exact_mut(self.observation_len());
-        rows.zip(&self.tasks).for_each(|(row, task)| task.show(row));
-        lengths
+        let (springs, width) = (self.arms.observation_len(), self.observation_len());
+        let mut shown = vec![0.0; self.len() * width];
+        let lengths = self.arms.lengths();
+        let rows = shown.chunks_exact_mut(width).zip(lengths.chunks_exact(springs));
+        for ((row, lengths), task) in rows.zip(&self.tasks) {
+            row[..springs].copy_from_slice(lengths);
+            task.show(row);
+        }
+        shown
     }
 
     /// Whether each episode has ended and waits for a reset.
@@ -401,7 +407,7 @@ impl<T: Task> EpisodeBatch<T> {
         actions: &[T::Action],
     ) -> Result<PartialStep<T::Action, T::Outcome>, ParameterError> {
         check_len("actions", actions.len(), self.len())?;
-        let actions = T::check_actions(actions)?;
+        let actions = self.tasks[0].check_actions(actions)?;
         for (index, task) in self.tasks.iter().enumerate() {
             let stops = match task.stage() {
                 Stage::Waiting => true,

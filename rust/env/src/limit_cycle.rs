@@ -302,7 +302,7 @@ impl Task for LimitCycle {
         }
     }
 
-    fn check_actions(actions: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, ParameterError> {
+    fn check_actions(&self, actions: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, ParameterError> {
         check_actions(actions)
     }
 

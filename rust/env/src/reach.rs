@@ -54,6 +54,9 @@ pub struct ReachConfig {
     pub distance_threshold: f64,
     /// Reward of a step; by default [`ReachReward::Sparse`].
     pub reward_type: ReachReward,
+    /// Whether the agent sees, after the lengths, how fast they have changed in the last control period
+    /// on average \[m/s\]; by default not.
+    pub observe_rates: bool,
     /// As in [`crate::EpisodeConfig`].
     pub length_noise: f64,
     /// As in [`crate::EpisodeConfig`].
@@ -78,6 +81,7 @@ impl Default for ReachConfig {
             activation_time: 0.1,
             distance_threshold: 0.02,
             reward_type: ReachReward::Sparse,
+            observe_rates: false,
             length_noise: 0.0,
             delay: 0,
             dropout: 0,
@@ -196,6 +200,8 @@ pub struct ReachState {
     generator: Pcg64,
     body: usize,
     senses: Option<Senses>,
+    /// What the agent has seen, where it sees rates.
+    seen: Vec<f64>,
 }
 
 /// What all episodes of the same settings share.
@@ -232,6 +238,7 @@ pub struct Reach {
     elapsed: u64,
     generator: Pcg64,
     senses: Option<Senses>,
+    seen: Vec<f64>,
 }
 
 impl Shared {
@@ -373,13 +380,20 @@ impl Task for Reach {
         self.activation.fill(0.0);
         self.stage = Stage::Running;
         self.elapsed = 0;
+        self.seen.clear();
         if let Some(senses) = &mut self.senses {
             senses.begin();
         }
     }
 
-    fn check_actions(actions: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, ParameterError> {
+    fn check_actions(&self, actions: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, ParameterError> {
+        let muscles = self.activation.len();
         let of_one = |(index, action): (usize, &Vec<f64>)| {
+            if action.len() != muscles {
+                let shape = |count: usize| format!("({count},)");
+                let (name, found) = (format!("actions[{index}]"), shape(action.len()));
+                return Err(ParameterError::shape(&name, found, shape(muscles)));
+            }
             let entries = action.iter().enumerate();
             entries
                 .map(|(muscle, value)| {
@@ -430,15 +444,35 @@ impl Task for Reach {
         self.outcome(lanes, lane, None)
     }
 
-    fn see(&mut self, lengths: &mut [f64]) {
+    fn observation_len(&self, springs: usize) -> usize {
+        if self.shared.config.observe_rates { 2 * springs } else { springs }
+    }
+
+    fn see(&mut self, row: &mut [f64]) {
+        let Shared { config, disturbances, .. } = &*self.shared;
+        let (lengths, rates) = row.split_at_mut(4 * config.arm.compartments);
         if let Some(senses) = &mut self.senses {
-            senses.see(&self.shared.disturbances, lengths);
+            senses.see(disturbances, lengths);
+        }
+        if config.observe_rates {
+            // Of an episode that has just begun nothing was seen before.
+            rates.fill(0.0);
+            for ((rate, now), before) in rates.iter_mut().zip(&*lengths).zip(&self.seen) {
+                *rate = (now - before) / config.control_period;
+            }
+            self.seen.clear();
+            self.seen.extend_from_slice(row);
         }
     }
 
-    fn show(&self, lengths: &mut [f64]) {
+    fn show(&self, row: &mut [f64]) {
+        let (lengths, rates) = row.split_at_mut(4 * self.shared.config.arm.compartments);
         if let Some(senses) = &self.senses {
             senses.show(lengths);
+        }
+        match self.seen.get(lengths.len()..) {
+            Some(seen) if !seen.is_empty() => rates.copy_from_slice(seen),
+            _ => rates.fill(0.0),
         }
     }
 
@@ -453,6 +487,7 @@ impl Task for Reach {
             generator: self.generator.clone(),
             body: self.body,
             senses: self.senses.clone(),
+            seen: self.seen.clone(),
         }
     }
 
@@ -472,6 +507,22 @@ impl Task for Reach {
             let shape = |count: usize| format!("({count},)");
             return Err(ParameterError::shape("activation", shape(found), shape(expected)));
         }
+        let (low, high) = disturbances.bounds;
+        let fastest = (high - low) / config.control_period;
+        let springs = 4 * config.arm.compartments;
+        let width = if config.observe_rates { 2 * springs } else { 0 };
+        if ![0, width].contains(&state.seen.len()) {
+            let shape = |count: usize| format!("({count},)");
+            return Err(ParameterError::shape("seen", shape(state.seen.len()), shape(width)));
+        }
+        for (index, value) in state.seen.iter().enumerate() {
+            let range = if index < springs {
+                Interval::closed(low, high).of("m")
+            } else {
+                Interval::within(fastest).of("m/s")
+            };
+            range.check(*value, || format!("seen[{index}]"))?;
+        }
         for (index, value) in state.activation.iter().enumerate() {
             Interval::closed(0.0, 1.0).check(*value, || format!("activation[{index}]"))?;
         }
@@ -486,6 +537,7 @@ impl Task for Reach {
         self.generator = state.generator.clone();
         self.body = state.body;
         self.senses.clone_from(&state.senses);
+        self.seen.clone_from(&state.seen);
     }
 }
 
@@ -516,6 +568,7 @@ impl EpisodeBatch<Reach> {
             elapsed: 0,
             generator: Pcg64::seed_from_u64(0),
             senses: Senses::of(&shared.disturbances),
+            seen: Vec::new(),
             shared: Arc::clone(&shared),
         };
         let what = format!("num_envs = {count}");

@@ -69,8 +69,8 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// Checks the actions of a batch, and gives them as [`Task::advance`] takes them.
     ///
     /// # Errors
-    /// [`ParameterError::OutOfRange`] that names the entry.
-    fn check_actions(actions: &[Self::Action]) -> Result<Vec<Self::Action>, ParameterError>;
+    /// [`ParameterError`] that names the entry.
+    fn check_actions(&self, actions: &[Self::Action]) -> Result<Vec<Self::Action>, ParameterError>;
 
     /// Physics steps from one action to the next.
     fn physics_steps(&self) -> u32;
@@ -96,11 +96,17 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// Where the episode stands, as if it began there.
     fn standing(&self, lanes: &ArmLanes, lane: usize) -> Self::Outcome;
 
-    /// Turns the lengths of the springs, after a reset or a step, into what the agent sees.
-    fn see(&mut self, lengths: &mut [f64]);
+    /// How many numbers the agent sees of so many springs: their lengths and what follows from them.
+    fn observation_len(&self, springs: usize) -> usize {
+        springs
+    }
+
+    /// Turns the lengths of the springs, after a reset or a step, into what the agent sees; the row is
+    /// of [`Task::observation_len`], and begins with the lengths.
+    fn see(&mut self, row: &mut [f64]);
 
     /// Turns the lengths of the springs into what the agent has seen of them.
-    fn show(&self, lengths: &mut [f64]);
+    fn show(&self, row: &mut [f64]);
 
     /// Saves the episode of an arm in this state.
     fn state(&self, arm: ArmState) -> Self::State;
