@@ -192,16 +192,20 @@ class Arm:
     ) -> tuple[Float, Float]:
         """Feed a linear readout of the spring lengths back as the base command (Eqs. 24-26).
 
-        Step t commands ``weights.T @ lengths(t) (+ bias) (+ perturbation[t])``, in degrees.
+        Step t commands ``weights.T @ lengths(t) (+ bias) (+ perturbation[t])``, in degrees. Further
+        outputs are muscle inputs in newton (Eqs. 1 and 4), which act during the step: ξ_c of all
+        springs in the order of the lengths, and after them, where there are so many, δ_c.
 
         Args:
-            weights: (4 N, 2), or (4 N + 1, 2) with the bias as the last row.
+            weights: (4 N, 2), or (4 N + 1, 2) with the bias as the last row; with muscles 2 + 4 N
+                or 2 + 8 N columns.
             steps: number of physics steps.
-            perturbation: (steps, 2), added to the outputs [degrees].
+            perturbation: (steps, 2), added to the outputs for the base [degrees].
 
         Returns:
             ``(outputs, lengths)``: the readout's outputs before the perturbation, (steps, 2)
-            [degrees], and the spring lengths after each step, (steps, 4 N) [m].
+            [degrees], further columns [N], and the spring lengths after each step,
+            (steps, 4 N) [m].
 
         Raises:
             ValueError, TypeError, MemoryError, KeyboardInterrupt: as :meth:`run`.

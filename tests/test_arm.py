@@ -306,3 +306,48 @@ def test_releases_the_gil() -> None:
     done.set()
     thread.join()
     assert len(counts) > 10
+
+
+@pytest.mark.parametrize("columns", [82, 162])
+def test_muscles_are_outputs_too(columns: int) -> None:
+    """Against a loop in Python; muscles without a readout stay as they are."""
+    random = np.random.default_rng(columns)
+    weights = np.zeros((81, columns))
+    weights[:, 2:] = random.uniform(-1.0, 1.0, (81, columns - 2))
+    weights[80] = -0.02 * weights[:80].sum(axis=0) + random.uniform(-0.2, 0.0, columns)
+    push = random.uniform(-1.0, 1.0, (60, 2))
+    arm, twin = Arm(), Arm()
+    held = np.full((20, 4), -0.05)
+    arm.muscles = twin.muscles = held, held
+    outputs, lengths = arm.run_closed_loop(weights, 60, push)
+    assert outputs.shape == (60, columns)
+    for step in range(60):
+        said = np.append(twin.lengths, 1.0) @ weights
+        np.testing.assert_allclose(outputs[step], said, atol=1e-12)
+        along = outputs[step, 2:82].reshape(20, 4)
+        across = outputs[step, 82:].reshape(20, 4) if columns == 162 else held
+        twin.muscles = along, across
+        twin.step(*(outputs[step, :2] + push[step]))
+        np.testing.assert_array_equal(lengths[step], twin.lengths)
+    np.testing.assert_array_equal(arm.muscles[0], along)
+    np.testing.assert_array_equal(arm.muscles[1], across)
+
+
+def test_a_run_that_ends_early_keeps_its_muscles() -> None:
+    weights = np.zeros((81, 82))
+    weights[80, 2:] = -30.0
+    arm = Arm()
+    with pytest.raises(DomainError) as caught:
+        arm.run_closed_loop(weights, 1000)
+    assert caught.value.outputs is not None
+    assert caught.value.outputs.shape == (caught.value.step, 82)
+    np.testing.assert_array_equal(arm.muscles[0], -30.0 if caught.value.step else 0.0)
+    weights[80, 2:] = 1e308
+    weights[:80, 2:] = 1e308
+    fresh = Arm()
+    with pytest.raises(DomainError, match="no finite state"):
+        fresh.run_closed_loop(weights, 10)
+    np.testing.assert_array_equal(fresh.muscles[0], 0.0)
+    for columns in (1, 3, 81, 163):
+        with pytest.raises(ValueError, match="weights"):
+            fresh.run_closed_loop(np.zeros((81, columns)), 1)

@@ -443,9 +443,28 @@ class TestCommand:
         assert [row["agent"] for row in figures["rows"]][1:] == ["hold", "clock"]
         assert figures["rows"][2]["return"] > 499.9
 
+    def test_bodies_vary(self, octoarm: Any, tmp_path: Path) -> None:
+        file, out = tmp_path / "small.yml", tmp_path / "out"
+        file.write_text(yaml.safe_dump({"OctoArm-v0": entries("ppo")}), encoding="utf-8")
+        arguments = ["train", "ppo", "--steps", 64, "--out", out, "--evaluations", 1]
+        arguments += ["--hyperparameters", file, "--bodies", 3, "--body-seed", 5]
+        arguments += ["--vary", "longitudinal_stiffness=0.8,1.2", "--vary", "arm_density=0.9,1"]
+        done = octoarm(*arguments)
+        assert done.exit_code == 0, done.output
+        trained = json.loads((out / "training.json").read_text(encoding="utf-8"))["training"]
+        factors = {"longitudinal_stiffness": [0.8, 1.2], "arm_density": [0.9, 1.0]}
+        assert trained["env"] == {"vary": factors, "bodies": 3, "body_seed": 5}
+        training = Training.make("ppo", "quadratic", env=trained["env"])
+        judges = judging.Judge(training, tmp_path, None).judges
+        bodies = {judges.reset(seed=seed)[1]["body"][0] for seed in range(20)}
+        assert bodies == {0, 1, 2}
+        assert octoarm(*arguments, "--resume").exit_code == 0
+
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
+            (("ppo", "--vary", "arm_density"), "NAME=LOW,HIGH"),
+            (("ppo", "--vary", "colour=0.9,1"), "colour"),
             (("dqn",), "dqn"),
             (("ppo", "--steps", 0), "0 is not between 1 and"),
             (("ppo", "--target", "square"), "square"),

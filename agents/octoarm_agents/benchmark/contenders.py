@@ -26,6 +26,7 @@ from octoarm_env import (
     instruction_set,
 )
 from octoarm_env.arrays import Float
+from octoarm_env.reach import OctoArmReachVectorEnv
 
 FIGURE = "microseconds_per_arm_step"
 TIMESTEP = 0.001
@@ -54,6 +55,10 @@ ARM_STEP = "one arm, Arm.step from Python"
 TWIN = "MuJoCo twin of that dry arm"
 ENV_BARE = "OctoArmEnv.step"
 ENV_MADE = 'gym.make("OctoArm-v0").step'
+RESETS = f"reset of {BATCH} environments onto one body, 1 thread"
+RESETS_FEW = f"reset of {BATCH} environments onto one of 2 bodies, 1 thread"
+RESETS_MANY = f"reset of {BATCH} environments onto one of 16 bodies, 1 thread"
+REACH = f"OctoArmReachVectorEnv of {BATCH}, 1 thread"
 SYNC = f"gymnasium's SyncVectorEnv of {SYNC_ENVS}"
 ASYNC = f"gymnasium's AsyncVectorEnv of {ASYNC_ENVS}"
 
@@ -104,6 +109,9 @@ def make_contenders() -> list[Contender]:
     for envs, threads in sizes:
         native = OctoArmVectorEnv(envs, **settings, **mode, threads=threads)
         contenders.append(_vector_environment(vector_name(envs, threads), native))
+    bodies = {RESETS: 1, RESETS_FEW: 2, RESETS_MANY: 16}
+    contenders += [_resets(name, count) for name, count in bodies.items()]
+    contenders.append(_reaching())
     # With its module, for processes that begin without what this one has imported.
     make = [lambda: gym.make("octoarm_env:OctoArm-v0", **settings)]
     contenders += [
@@ -232,6 +240,37 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
         100_000,
         arms=envs.num_envs,
         physics_steps=PHYSICS_STEPS,
+        close=envs.close,
+    )
+
+
+def _resets(name: str, bodies: int) -> Contender:
+    """Resets of a batch whose bodies vary; a step is a reset."""
+    vary = {"longitudinal_stiffness": (0.8, 1.2)} if bodies > 1 else None
+    envs = OctoArmVectorEnv(BATCH, vary=vary, bodies=bodies, threads=1)
+    envs.reset(seed=0)
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            envs.reset()
+
+    measure = fitted(FIGURE, 1e6 / BATCH, timed(lambda: None, run), 100_000)
+    return Contender(name, measure, {}, envs.close)
+
+
+def _reaching() -> Contender:
+    """Arms under random activations of their muscles, with the ends of episodes as they come."""
+    envs = OctoArmReachVectorEnv(BATCH, autoreset_mode=AutoresetMode.SAME_STEP, threads=1)
+    rng = np.random.default_rng(0)
+    actions = rng.random((EPISODE_STEPS, BATCH, 25), np.float32)
+    envs.reset(seed=0)
+    return _contender(
+        REACH,
+        lambda: None,
+        walk(envs.step, actions),
+        100_000,
+        arms=BATCH,
+        physics_steps=round(envs.settings.control_period / TIMESTEP),
         close=envs.close,
     )
 

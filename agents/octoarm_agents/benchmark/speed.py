@@ -16,6 +16,10 @@ from octoarm_agents.benchmark.contenders import (
     ENV_BARE,
     ENV_MADE,
     PHYSICS_STEPS,
+    REACH,
+    RESETS,
+    RESETS_FEW,
+    RESETS_MANY,
     SYNC,
     TWIN,
     batch_name,
@@ -74,6 +78,9 @@ def comparisons(threads: int) -> list[Comparison]:
         ("vector_threads", f"OctoArmVectorEnv of {BATCH}: 1 / 2 threads", alone, vector),
         ("sync_over_vector", f"SyncVectorEnv / {vector}", SYNC, vector),
         ("sync_over_vector_1", "SyncVectorEnv / the same, 1 thread", SYNC, alone),
+        ("resets_few_over_one", "reset onto one of 2 bodies / onto one", RESETS_FEW, RESETS),
+        ("resets_many_over_one", "reset onto one of 16 bodies / onto one", RESETS_MANY, RESETS),
+        ("reaching_over_vector", "a physics step with muscles / without", REACH, alone),
         ("async_over_vector", f"AsyncVectorEnv / {vector}", ASYNC, vector),
     ]
     found = [Comparison(*pair) for pair in pairs]

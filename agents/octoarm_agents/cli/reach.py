@@ -27,7 +27,7 @@ app = typer.Typer(
 
 _OWN = "the algorithm's own"
 PolicyArgument = Annotated[
-    str, typer.Argument(help="still, random, wave, nearest, or a file policy.npz.")
+    str, typer.Argument(help="still, random, wave, nearest; sac, which comes along; or policy.npz.")
 ]
 
 
@@ -203,10 +203,12 @@ def film(
 
 def _find(policy: str, env: Any = None) -> Any:
     """A baseline by its name, for an environment where there is one; or a trained policy's file."""
-    from octoarm_agents.policies.reaching import BASELINES, GoalPolicy
+    from octoarm_agents.policies.reaching import BASELINES, GoalPolicy, load_reaching
 
     if policy in BASELINES:
         make = BASELINES[policy]
         return make if env is None else make(env)
+    if policy == "sac":
+        return load_reaching()
     with refused(about=f"{policy}: "):
         return GoalPolicy.load(policy)

@@ -13,16 +13,20 @@ import typer
 from octoarm_agents.cli.options import (
     Algorithm,
     Amplitude,
+    Bodies,
     Body,
+    BodySeed,
     ClusterAddress,
     NoiseSize,
     Seed,
     Target,
+    Vary,
     need_extra,
     number,
     output_folder,
     read_body,
     refused,
+    varied,
     workers_of,
 )
 from octoarm_agents.common.progress import progress_bar
@@ -54,6 +58,9 @@ def train(
     amplitude: Amplitude = None,
     arm: Body = None,
     noise: NoiseSize = 0.0,
+    vary: Vary = None,
+    bodies: Bodies = 64,
+    body_seed: BodySeed = 0,
     tensorboard: Annotated[
         bool, typer.Option(help="Write logs for TensorBoard into the folder; with sb3.")
     ] = True,
@@ -78,6 +85,9 @@ def train(
     where an interrupted training was last saved, and computes what it would
     have computed; with more --steps it goes on for longer (docs/agents.md).
 
+    With --vary the agent is trained, and judged, on many bodies, one of which
+    each episode draws; other bodies have another --body-seed.
+
     With --engine rllib, --workers processes step the arms, here or on a Ray
     cluster; nothing then promises the same curve for the same seed, and a
     training may not be extended (docs/cluster.md).
@@ -95,6 +105,7 @@ def train(
 
     folder = output_folder(out or Path("out/train") / f"{algorithm}-{target}-{seed}")
     env = {"amplitude": amplitude, "arm": None if arm is None else read_body(arm)}
+    env |= varied(vary, bodies, body_seed)
     with refused():
         training = Training.make(
             algorithm,

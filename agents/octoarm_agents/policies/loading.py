@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from octoarm_agents.common.environment import TARGETS
 from octoarm_agents.policies.policy import Policy
 
 TRAINED_FOLDER = Path(__file__).parent.parent / "trained"
-"""A folder for each target, and the scores of all in trained.json."""
+"""A folder for each target, with the scores of all in trained.json; and one of who reaches."""
 
 load_policy = Policy.load
 
@@ -31,4 +32,5 @@ def load_trained(agent: str, target: str) -> Policy:
 
 def trained_agents() -> dict[tuple[str, str], Path]:
     """Files of the agents that come with this distribution, by agent and target."""
-    return {(path.stem, path.parent.name): path for path in sorted(TRAINED_FOLDER.glob("*/*.npz"))}
+    files = (path for target in TARGETS for path in (TRAINED_FOLDER / target).glob("*.npz"))
+    return {(path.stem, path.parent.name): path for path in sorted(files)}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from octoarm_agents.common.files import atomic_file
 from octoarm_agents.common.provenance import package_versions
+from octoarm_agents.policies.loading import TRAINED_FOLDER
 from octoarm_agents.policies.network import Network
 from octoarm_env.arrays import Float
 from octoarm_env.reach import (
@@ -220,6 +221,11 @@ class GoalPolicy:
             return cls(network, ReachSettings.from_dict(header["settings"]), header["training"])
         except (KeyError, TypeError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             raise ValueError(f"{path} is no policy that reaches: {error}") from None
+
+
+def load_reaching() -> GoalPolicy:
+    """Load the agent that reaches and comes with this distribution: SAC, seed 0."""
+    return GoalPolicy.load(TRAINED_FOLDER / "reaching" / "sac.npz")
 
 
 def evaluate_reaching(

@@ -21,6 +21,8 @@ from octoarm_agents.rl.task import Training
 JUDGED_STEPS = 500
 """Control periods of the episodes that a policy is evaluated in: those of the standard episode."""
 
+_BODIES = ("vary", "bodies", "body_seed")
+
 Progress = Callable[[int, float], None]
 """Told of a training under way: the steps done, and the last evaluated return or NaN."""
 
@@ -38,8 +40,11 @@ class Judge:
         self.training, self.out, self.command = training, out, command
         env = gym.make(ENV_ID, target=training.target, **training.env)
         self.parameters, self.settings = inspect_env(env)
+        # Where bodies vary, it is judged on these.
+        bodies = {name: training.env[name] for name in _BODIES if name in training.env}
+        home = self.settings | bodies
         self.judges = make_vector_env(
-            training.episodes, self.parameters, self.settings, steps=JUDGED_STEPS, threads=1
+            training.episodes, self.parameters, home, steps=JUDGED_STEPS, threads=1
         )
         self.curve: list[dict[str, Any]] = []
         self.seconds = 0.0

@@ -294,6 +294,55 @@ impl Arm {
         }
         Ok(())
     }
+
+    /// [`Arm::run_closed_loop`] through muscles too: after the first readout, that of the base, follow
+    /// those of muscle inputs \[N\], two outputs each, in observation order: the ξ_c of all springs, and
+    /// after them, if there are so many, the δ_c. What has no readout stays as it is.
+    ///
+    /// `outputs` receives what all readouts say, two numbers each, a row a step.
+    ///
+    /// # Errors
+    /// As [`Arm::run`]; the muscle inputs are then those of the last step that was made.
+    ///
+    /// # Panics
+    /// If `outputs`, `lengths`, `perturbation` or the readouts do not fit each other and the springs.
+    pub fn run_muscle_loop(
+        &mut self,
+        readouts: &[LinearReadout],
+        perturbation: Option<&[[f64; 2]]>,
+        outputs: &mut [f64],
+        lengths: &mut [f64],
+    ) -> Result<(), (usize, DomainError)> {
+        let width = self.observation_len();
+        let said = 2 * readouts.len();
+        let steps = outputs.len() / said;
+        assert!([width, 2 * width].contains(&(said - 2)), "a muscle for every spring, or two");
+        assert_eq!(lengths.len(), steps * width, "room for the lengths of every step");
+        assert!(readouts.iter().all(|readout| readout.weights.len() == width), "all springs");
+        assert!(perturbation.is_none_or(|rows| rows.len() == steps), "one row a step");
+        let mut now = self.lengths();
+        let rows = outputs.chunks_exact_mut(said).zip(lengths.chunks_exact_mut(width));
+        for (step, (output, row)) in rows.enumerate() {
+            for (readout, pair) in readouts.iter().zip(output.chunks_exact_mut(2)) {
+                pair.copy_from_slice(&readout.output(&now));
+            }
+            let push = perturbation.map_or([0.0; 2], |rows| rows[step]);
+            let command = [output[0] + push[0], output[1] + push[1]];
+            let before = self.muscles();
+            let (along, across) = output[2..].split_at(width);
+            let across = if across.is_empty() { &before.1 } else { across };
+            // Inputs that are not finite end the run as a command does that is not.
+            let pulled = self.set_muscles(along, across).is_ok();
+            if let Err(failure) = self.step(if pulled { command } else { [f64::NAN; 2] }) {
+                let restored = self.set_muscles(&before.0, &before.1);
+                debug_assert!(restored.is_ok(), "inputs that were there");
+                return Err((step, failure));
+            }
+            self.lengths_into(row);
+            now.copy_from_slice(row);
+        }
+        Ok(())
+    }
 }
 
 /// Whether a command in degrees can be followed at all.

@@ -8,7 +8,7 @@ use octoarm_arm::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, table};
+use crate::arrays::{Joints, Table, Vector, joints_array, numbers, pairs_of, shaped, table};
 use crate::errors::{interruptible, invalid, left_domain};
 
 /// Steps between two looks at Python's signals, for one arm of one compartment: a tenth of a second.
@@ -195,8 +195,17 @@ impl Arm {
         perturbation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Table<'py>, Table<'py>)> {
         let width = self.inner.observation_len();
-        let (flat, _) = numbers("weights", weights, &[None, Some(2)])?;
-        let readout = LinearReadout::from_rows(pairs_of(&flat), width).map_err(invalid)?;
+        let columns = [2, 2 + width, 2 + 2 * width];
+        let (flat, shape) =
+            shaped("weights", weights, &columns.map(|each| vec![None, Some(each)]))?;
+        let said = shape[1];
+        let readouts: Vec<LinearReadout> = (0..said / 2)
+            .map(|pair| {
+                let rows: Vec<[f64; 2]> =
+                    flat.chunks_exact(said).map(|row| [row[2 * pair], row[2 * pair + 1]]).collect();
+                LinearReadout::from_rows(&rows, width).map_err(invalid)
+            })
+            .collect::<PyResult<_>>()?;
         let push = perturbation
             .map(|value| numbers("perturbation", value, &[None, Some(2)]).map(|(flat, _)| flat))
             .transpose()?;
@@ -208,16 +217,22 @@ impl Arm {
         }
         let what = format!("steps = {steps}");
         let mut lengths = filled(&what, 0.0, steps.checked_mul(width)).map_err(invalid)?;
-        let mut outputs = filled(&what, [0.0; 2], Some(steps)).map_err(invalid)?;
+        let mut outputs = filled(&what, 0.0, steps.checked_mul(said)).map_err(invalid)?;
         let block = self.block();
-        let blocks = outputs.chunks_mut(block).zip(lengths.chunks_mut(block * width)).enumerate();
-        let (done, failed) = self.blocks(py, blocks, |inner, (index, (said, out))| {
-            let push = push.as_ref().map(|rows| &pairs_of(rows)[index * block..][..said.len()]);
-            (said.len(), inner.run_closed_loop(&readout, push, said, out))
+        let blocks =
+            outputs.chunks_mut(block * said).zip(lengths.chunks_mut(block * width)).enumerate();
+        let (done, failed) = self.blocks(py, blocks, |inner, (index, (outputs, out))| {
+            let made = outputs.len() / said;
+            let push = push.as_ref().map(|rows| &pairs_of(rows)[index * block..][..made]);
+            let end = match readouts.as_slice() {
+                [readout] => inner.run_closed_loop(readout, push, outputs.as_chunks_mut().0, out),
+                many => inner.run_muscle_loop(many, push, outputs, out),
+            };
+            (made, end)
         })?;
-        outputs.truncate(done);
+        outputs.truncate(done * said);
         lengths.truncate(done * width);
-        let outputs = table(py, outputs.into_flattened(), 2)?;
+        let outputs = table(py, outputs, said)?;
         let lengths = table(py, lengths, width)?;
         match failed {
             None => Ok((outputs, lengths)),

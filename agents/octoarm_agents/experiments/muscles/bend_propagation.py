@@ -85,8 +85,7 @@ def _series(positions: Float) -> dict[str, Any]:
     """Bends and the bend point's way and speed."""
     point = bend_point(positions)
     moving = _travelling(point)
-    joints = positions[np.arange(len(point)), np.nan_to_num(point * 20).round().astype(int)]
-    speed = np.linalg.norm(np.gradient(_smooth(joints), PERIOD, axis=0), axis=1)
+    speed = np.linalg.norm(np.gradient(_smooth(_bend_centre(positions)), PERIOD, axis=0), axis=1)
     times = np.arange(len(point)) * PERIOD
     travelled = times[moving]
     profile = speed[moving]
@@ -99,6 +98,17 @@ def _series(positions: Float) -> dict[str, Any]:
         "peak_at": float(profile.argmax() / max(len(profile) - 1, 1)) if len(profile) else None,
         "along_m_s": _along(point, moving),
     }
+
+
+def _bend_centre(positions: Float) -> Float:
+    """Where the bend is in the water, (T, 3) [m]: the mean of all joints, weighed by bend⁴.
+
+    The joint of the largest bend jumps from one to the next; this does not.
+    """
+    weights = bends_of(positions) ** 4
+    total = np.maximum(weights.sum(axis=1), 1e-12)
+    centre: Float = np.einsum("tj,tjk->tk", weights, positions[:, 1:-1]) / total[:, None]
+    return centre
 
 
 def _travelling(point: Float) -> Any:
