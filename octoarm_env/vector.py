@@ -68,7 +68,7 @@ class OctoArmVectorEnv(BatchEnv):
     from 0 to 1.
 
     ``pickle`` and ``copy.deepcopy`` continue the whole batch exactly where it stands, and so does
-    :meth:`restore` of a :meth:`snapshot`.
+    :meth:`octoarm_env.batch.BatchEnv.restore` of a snapshot.
     """
 
     _core: EpisodeBatch
@@ -168,7 +168,7 @@ class OctoArmVectorEnv(BatchEnv):
     def call_at(
         self, indices: Iterable[int], name: str, *args: Any, **kwargs: Any
     ) -> tuple[Any, ...]:
-        """Do as :meth:`call` for some of the environments; `teacher_action` is a method too."""
+        """Do as :meth:`octoarm_env.batch.BatchEnv.call`; `teacher_action` is a method too."""
         if name == "teacher_action":
             actions = self._core.teacher_actions()
             return tuple(actions[index].copy() for index in indices)

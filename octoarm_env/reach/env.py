@@ -23,10 +23,8 @@ from octoarm_env.settings import MadeOnce
 
 __all__ = ["OctoArmReachEnv"]
 
-Observation = dict[str, Float]
 
-
-class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
+class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
     r"""The muscles of an octopus-like arm bring its tip to a goal; its base stands still.
 
     ## Description
@@ -60,7 +58,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
     `reward_type="sparse"`: 0 where the tip is within `distance_threshold` of the goal, else -1.
-    `"dense"`: minus the distance in metres. :meth:`compute_reward` gives the same for other goals.
+    `"dense"`: minus the distance in metres. :meth:`octoarm_env.reach.OctoArmReachEnv.compute_reward` gives the same for other goals.
 
     ## Starting state
     At rest, no muscle active. The goal is drawn from `goals`; `reset(options={"goal": (x, y, z)})`
@@ -163,7 +161,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[dict[str, Float], dict[str, Any]]:
         """Begin an episode at rest.
 
         Args:
@@ -192,7 +190,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[Observation, NDArray[np.float32]]):
 
     def step(
         self, action: NDArray[np.float32]
-    ) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+    ) -> tuple[dict[str, Float], SupportsFloat, bool, bool, dict[str, Any]]:
         """Let the muscles pull for one control period.
 
         Args:
@@ -337,7 +335,7 @@ def reach_scene(core: ReachBatch, index: int, history: ReachHistory) -> Scene:
 
 def _first(
     observations: dict[str, Float], infos: dict[str, Any]
-) -> tuple[Observation, dict[str, Any]]:
+) -> tuple[dict[str, Float], dict[str, Any]]:
     """Give the only environment's part."""
     info = {key: values[0] for key, values in infos.items() if not key.startswith("_")}
     # As vector environments join flags, those of Python.

@@ -32,11 +32,8 @@ class OctoArmReachVectorEnv(BatchEnv):
 
     Args:
         num_envs: number of environments N, at least 1.
-        reward_type, control_period, segments, max_force, activation_time, distance_threshold,
-            observe_rates, goals, arm, length_noise, delay, dropout, vary, bodies, body_seed: as in
-            `OctoArmReachEnv`, for all.
+        arguments: those of `OctoArmReachEnv`, by name, for all.
         render_mode: None, or "rgb_array": `render` then gives a picture of every environment.
-        width, height, camera, overlay: of those pictures, as in `OctoArmEnv`.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
         autoreset_mode, threads: as in :class:`octoarm_env.OctoArmVectorEnv`.
 

@@ -259,7 +259,7 @@ class RemoteOctoArmVectorEnv(OctoArmVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Float, Infos]:
-        """Begin episodes on the orbit, as :meth:`octoarm_env.OctoArmVectorEnv.reset` does.
+        """Begin episodes on the orbit, as :meth:`octoarm_env.batch.BatchEnv.reset` does.
 
         Where the stream broke or was interrupted, a reset of all goes on, on a new one, in a new
         world; environments without a seed then draw theirs from `np_random`, as at the first reset.

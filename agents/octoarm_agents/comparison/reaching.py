@@ -100,7 +100,8 @@ def draw_reaching(result: Mapping[str, Any]) -> Figure:
             panel.plot(goals[:, x], goals[:, y], ".", markersize=2.5, color=colour, label=label)
         panel.set(xlabel=f"{names[0]} (mm)", ylabel=f"{names[1]} (mm)", aspect="equal")
     panels[0].invert_yaxis()
-    panels[0].legend(fontsize=8, frameon=False, markerscale=3)
+    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.1), "ncols": 2}
+    panels[0].legend(fontsize=8, frameon=False, markerscale=3, **above)
     curves = panels[2]
     for name, agent in result["agents"].items():
         for number, curve in enumerate(agent["curves"]):
@@ -108,11 +109,15 @@ def draw_reaching(result: Mapping[str, Any]) -> Figure:
             shares = [100 * each["success"] for each in curve]
             label = name.upper() if number == 0 else "_"
             curves.plot(steps, shares, color=_COLOURS.get(name), linewidth=1.2, label=label)
+    levels: dict[int, list[str]] = {}
     for name, told in result["baselines"].items():
-        curves.axhline(100 * told["success"], color=GREY, linewidth=0.8, linestyle=":")
-        curves.annotate(name, (1.0, 100 * told["success"]), xycoords=("axes fraction", "data"),
-                        fontsize=8, color=GREY, ha="right", va="bottom")  # fmt: skip
+        levels.setdefault(round(20 * told["success"]), []).append(name)
+    for together in levels.values():
+        share = 100 * result["baselines"][together[0]]["success"]
+        curves.axhline(share, color=GREY, linewidth=0.8, linestyle=":")
+        place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+        curves.annotate(", ".join(together), (1.0, share), fontsize=8, color=GREY, **place)
     curves.set(xscale="log", ylim=(-3, 103))
     curves.set(xlabel="environment steps", ylabel="held-out goals reached (%)")
-    curves.legend(fontsize=8, frameon=False, loc="upper left")
+    curves.legend(fontsize=8, frameon=False, loc="center left")
     return figure
