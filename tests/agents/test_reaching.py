@@ -162,7 +162,7 @@ def test_comparison_and_film(samples: Any, tmp_path: Any, monkeypatch: pytest.Mo
     runner = CliRunner()
     told = runner.invoke(app, ["reach", "compare", str(tmp_path), "--out", str(tmp_path)])
     assert told.exit_code == 2
-    assert "no finished training" in told.output
+    assert "octoarm reach train" in " ".join(told.output.replace("│", " ").split())
     point = {"steps": 10, "seconds": 1.0, "success": 0.5, "held": 0.25, "ever": 1.0}
     for seed in range(2):
         curve = [point | {"distance": 0.01 + seed}]

@@ -28,13 +28,14 @@ from octoarm_agents.experiments.muscles.let_go import (
     PULSE,
     SPEED,
     START,
+    LeftDomainError,
     bend_point,
     bends_of,
     judge,
     let_go,
     teach,
 )
-from octoarm_agents.experiments.plots import number_compartments
+from octoarm_agents.experiments.plots import number_compartments, say_missing
 from octoarm_agents.experiments.runner import Experiment, RunSettings, round_numbers
 from octoarm_agents.experiments.tables import ResultTable
 from octoarm_env import ArmParameters
@@ -56,6 +57,13 @@ PAPER = (
 
 def teach_and_let_go(parameters: ArmParameters, seed: int, trial: int) -> dict[str, Any]:
     """One readout, and what it does undisturbed, blurred, pushed, without a command, in parts."""
+    try:
+        return _let_go_of_one(parameters, seed, trial)
+    except LeftDomainError as failure:
+        return {"failure": {"trial": trial, "message": str(failure)}}
+
+
+def _let_go_of_one(parameters: ArmParameters, seed: int, trial: int) -> dict[str, Any]:
     weights = teach(parameters, (seed, trial))
     generator = np.random.default_rng((seed, trial, 1))
 
@@ -75,10 +83,13 @@ def teach_and_let_go(parameters: ArmParameters, seed: int, trial: int) -> dict[s
     }
 
 
-def scripted(parameters: ArmParameters) -> dict[str, Any]:
-    """The arm that the clock leads to the end."""
+def scripted(parameters: ArmParameters) -> dict[str, Any] | None:
+    """The arm that the clock leads to the end; None if it leaves its domain."""
     generator = np.random.default_rng(0)
-    return _series(let_go(parameters, None, generator, arms=1)[:, 0])
+    try:
+        return _series(let_go(parameters, None, generator, arms=1)[:, 0])
+    except LeftDomainError:
+        return None
 
 
 def _series(positions: Float) -> dict[str, Any]:
@@ -141,7 +152,8 @@ def _smooth(rows: Float, width: int = 7) -> Float:
 
 def run(settings: RunSettings) -> dict[str, Any]:
     """Teach one readout a trial, and count what reaches."""
-    (trials,) = settings.repeat("bend-propagation", teach_and_let_go, [[{}]])
+    (results,) = settings.repeat("bend-propagation", teach_and_let_go, [[{}]])
+    trials = [each for each in results if "failure" not in each]
 
     def shares(results: list[dict[str, Any]], part: str = "reached") -> list[float]:
         return [each[part] for each in results]
@@ -151,7 +163,8 @@ def run(settings: RunSettings) -> dict[str, Any]:
         "trials": settings.trials,
         "arms": ARMS,
         "scripted": scripted(settings.parameters),
-        "example": trials[0]["example"],
+        "failures": [each["failure"] for each in results if "failure" in each],
+        "example": trials[0]["example"] if trials else None,
         "noise": [
             {"noise_m": noise, "reached": shares([trial["noise"][index] for trial in trials])}
             for index, noise in enumerate(NOISES)
@@ -186,12 +199,16 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
     false = result["uncommanded_straight"]
     notes = [
         f"Each share is of {result['arms']} arms; a readout a trial, {result['trials']} of them.",
-        f"Without a command {np.mean(result['uncommanded_waits']):.0%} wait bent, and "
-        f"{np.mean(false):.0%} reach all the same.",
     ]
+    if false:
+        notes.append(
+            f"Without a command {np.mean(result['uncommanded_waits']):.0%} wait bent, and "
+            f"{np.mean(false):.0%} reach all the same."
+        )
+    notes += [f"Trial {each['trial']} failed: {each['message']}." for each in result["failures"]]
     for name in ("scripted", "example"):
         each = result[name]
-        if each["peak_m_s"] is not None:
+        if each is not None and each["peak_m_s"] is not None:
             notes.append(
                 f"{'The clock' if name == 'scripted' else 'The readout'}: the bend travels for "
                 f"{each['travel_s']:.2f} s, at most at {each['peak_m_s']:.2f} m/s through the "
@@ -202,6 +219,8 @@ def tables(result: Mapping[str, Any]) -> list[ResultTable]:
 
 
 def _spread(shares: list[float]) -> tuple[str, str, str]:
+    if not shares:
+        return "–", "–", "–"
     return f"{np.median(shares):.0%}", f"{min(shares):.0%}", f"{max(shares):.0%}"
 
 
@@ -216,13 +235,14 @@ def draw(result: Mapping[str, Any]) -> Figure:
         _draw_bends(figure, panel, result[name], title)
     profiles, noises, without = axes[0, 2], axes[1, 0], axes[1, 2]
     for name, colour, label in (("scripted", BLACK, "clock"), ("example", ORANGE, "readout")):
-        profile = result[name]["profile_m_s"]
+        profile = [] if result[name] is None else result[name]["profile_m_s"]
         profiles.plot(np.arange(len(profile)) * PERIOD, profile, color=colour, label=label)
     profiles.axhline(SPEED, color=BLACK, linewidth=0.7, linestyle=":", label="wave along the arm")
     profiles.set(xlabel="time since the bend set out (s)", ylabel="bend point in the water (m/s)")
     profiles.legend(fontsize=8, frameon=False)
     places = [each["noise_m"] for each in result["noise"]]
     _draw_shares(noises, places, [each["reached"] for each in result["noise"]], BLUE)
+    noises.set_xlim(0.7 * NOISES[0], 1.4 * NOISES[-1])
     noises.set(xscale="log", xlabel="noise on the lengths, half width (m)")
     places = [each["push"] for each in result["push"]]
     _draw_shares(axes[1, 1], places, [each["reached"] for each in result["push"]], VERMILLION)
@@ -233,8 +253,11 @@ def draw(result: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _draw_bends(figure: Figure, axes: Axes, series: Mapping[str, Any], title: str) -> None:
+def _draw_bends(figure: Figure, axes: Axes, series: Mapping[str, Any] | None, title: str) -> None:
     """Bends over place and time."""
+    if series is None:
+        say_missing(axes, {"message": "the arm left its domain"})
+        return
     bends = np.array(series["bends_deg"]).T
     extent = (-START, LENGTH - START, 0.5, len(bends) + 0.5)
     image = axes.imshow(bends, aspect="auto", origin="lower", extent=extent, cmap="magma")
@@ -251,7 +274,8 @@ def _draw_shares(axes: Axes, places: Any, shares: list[list[float]], colour: str
         axes.plot(
             [place] * len(each), [100 * share for share in each], ".", color=colour, alpha=0.4
         )
-    axes.plot(list(places), [100 * float(np.median(each)) for each in shares], color=colour)
+    if all(shares):
+        axes.plot(list(places), [100 * float(np.median(each)) for each in shares], color=colour)
     axes.set(ylim=(-5, 105), ylabel="arms that reach (%)")
 
 

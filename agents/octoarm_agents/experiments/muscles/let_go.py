@@ -44,6 +44,10 @@ SEEN = 5.0
 """Least bend that counts as the bend point [degrees]."""
 
 
+class LeftDomainError(Exception):
+    """An arm left its domain; the message says how."""
+
+
 def make_arms(parameters: ArmParameters, count: int) -> tuple[OctoArmReachVectorEnv, Float]:
     """Arms at rest, whose every compartment has muscles of its own, and their lengths."""
     arms = OctoArmReachVectorEnv(
@@ -127,7 +131,7 @@ def teach(parameters: ArmParameters, seed: Sequence[int], pupils: int = 48) -> F
 def _step(arms: OctoArmReachVectorEnv, action: Any) -> Float:
     seen, _, terminated, _, infos = arms.step(np.clip(action, 0.0, 1.0).astype(np.float32))
     if terminated.any():
-        raise RuntimeError(f"an arm left its domain: {infos['failure']}")
+        raise LeftDomainError(next(text for text in infos["failure"] if text))
     lengths: Float = seen["observation"]
     return lengths
 
