@@ -286,7 +286,7 @@ class BatchEnv(MadeOnce, gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[
 
         Raises:
             gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as
-                :meth:`octoarm_env.OctoArmEnv.render`.
+                :meth:`octoarm_env.single.SingleEnv.render`.
         """
         return self._frames(range(self.num_envs))
 

@@ -6,25 +6,24 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, Literal, SupportsFloat
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env._core import Episode
-from octoarm_env.arguments import generator_seed
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import History
-from octoarm_env.rendering.pictures import Pictures, Scene, render_fps, warn_without_mode
-from octoarm_env.settings import EpisodeSettings, MadeOnce, phase_option
+from octoarm_env.rendering.pictures import Pictures, Scene, render_fps
+from octoarm_env.settings import EpisodeSettings, phase_option
+from octoarm_env.single import SingleEnv
 from octoarm_env.targets import TargetName
 
 __all__ = ["OctoArmEnv"]
 
 
-class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
+class OctoArmEnv(SingleEnv):
     r"""An octopus-like soft arm swings in water; only its base is driven, only its springs are seen.
 
     ## Description
@@ -203,7 +202,6 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             [self._settings], render_mode, modes, width, height, camera, overlay
         )
         self._history = None if render_mode is None else History(control_period)
-        self._seeded = False
         low, high = self._core.observation_bounds
         count = self._core.observation_len
         self.observation_space = spaces.Box(low, high, (count,), np.float64)
@@ -211,17 +209,6 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
 
     _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
     _remedy = 'gym.make("OctoArm-v0", {}=...)'
-
-    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Set an attribute of your own, as every wrapper and vector environment does it.
-
-        Raises:
-            AttributeError: the name of an argument, which only another environment takes.
-        """
-        if not hasattr(self, name):
-            # A wrapper would keep it for itself, without effect.
-            self._check_free(name)
-        return super().set_wrapper_attr(name, value, force=force)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -239,12 +226,9 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             ValueError: a phase outside [0, 1], or an unknown option.
         """
         phase = phase_option(options)
-        super().reset(seed=seed)
-        if seed is not None:
-            self._core.seed(generator_seed(seed))
-        elif not self._seeded:
-            self._core.seed(int(self.np_random.integers(2**63)))
-        self._seeded = True
+        given = self._drawn_seed(seed)
+        if given is not None:
+            self._core.seed(given)
         observation, info = self._core.reset(phase)
         if self._history is not None:
             self._history.begin(info)
@@ -271,42 +255,6 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
             self._history.add(info, reward)
             self._show(self._history)
         return observation, reward, terminated, False, info
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Give a picture, or show it, as `render_mode` says.
-
-        Returns:
-            (height, width, 3), 0 to 255, with "rgb_array"; else None.
-
-        Raises:
-            gymnasium.error.ResetNeeded: no episode has begun.
-            gymnasium.error.DependencyNotInstalled: pygame-ce is not installed.
-        """
-        if self._history is None:
-            warn_without_mode()
-            return None
-        if self.render_mode == "human":
-            self._show(self._history, again=True)
-            return None
-        return self._pictures.frame(0, self._history, self._scene)
-
-    def close(self) -> None:
-        """Close the window, if there is one; the arm could go on."""
-        self._pictures.close()
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """What draws the seed of the first reset without one.
-
-        After another was assigned, the next reset without a seed draws one from it.
-        """
-        return super().np_random
-
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self._np_random = value
-        self._np_random_seed = -1
-        self._seeded = False
 
     def teacher_action(self) -> Float:
         """Give the lead-compensated clock's action now, (2,); it depends on the time alone."""
@@ -353,7 +301,3 @@ class OctoArmEnv(MadeOnce, gym.Env[Float, NDArray[np.float32]]):
     @property
     def _scene(self) -> Scene:
         return Scene(self._core.joints, lambda: (self.orbit, self.action_range))
-
-    def _show(self, history: History, *, again: bool = False) -> None:
-        if self.render_mode == "human":
-            self._pictures.show(history, self._scene, again=again)

@@ -82,8 +82,42 @@ class MadeOnce:
         return copy.deepcopy(self)
 
 
+class Settings:
+    """What the settings of all tasks can do; they are frozen dataclasses."""
+
+    @property
+    def text(self) -> str:
+        """The settings as the physics reads them."""
+        raise NotImplementedError
+
+    @staticmethod
+    def _draw(text: str) -> list[str]:
+        """Give the bodies that settings draw, both as text."""
+        raise NotImplementedError
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Self:
+        """Read settings; what is left out takes its default.
+
+        Raises:
+            ValueError, TypeError: naming what is unknown or cannot be used.
+        """
+        known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # each is a dataclass
+        unknown = sorted(set(content) - set(known))
+        if unknown:
+            raise ValueError(f"unknown settings {unknown}; known are {known}")
+        return cls(**content)
+
+    @functools.cached_property
+    def drawn_bodies(self) -> tuple[ArmParameters, ...]:
+        """The bodies that episodes are made with, in the order of ``info["body"]``."""
+        return tuple(
+            ArmParameters.from_dict(json.loads(each)) for each in type(self)._draw(self.text)
+        )
+
+
 @dataclasses.dataclass(frozen=True)
-class EpisodeSettings:
+class EpisodeSettings(Settings):
     """What an episode is made of: the arguments of `OctoArmEnv` under their names.
 
     Attributes:
@@ -123,6 +157,10 @@ class EpisodeSettings:
     bodies: int = 1
     body_seed: int = 0
 
+    @staticmethod
+    def _draw(text: str) -> list[str]:
+        return drawn_bodies(text)
+
     def __post_init__(self) -> None:
         """Bring what was given into its plain form.
 
@@ -152,28 +190,10 @@ class EpisodeSettings:
         """All settings as JSON can hold them; `from_dict` gives them back."""
         return dataclasses.asdict(self) | {"target": plain(self.target), "vary": plain(self.vary)}
 
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> EpisodeSettings:
-        """Read settings; what is left out takes its default.
-
-        Raises:
-            ValueError, TypeError: naming what is unknown or cannot be used.
-        """
-        known = [field.name for field in dataclasses.fields(cls)]
-        unknown = sorted(set(content) - set(known))
-        if unknown:
-            raise ValueError(f"unknown settings {unknown}; known are {known}")
-        return cls(**content)
-
     @property
     def title(self) -> str:
         """Of a picture."""
         return self.target if isinstance(self.target, str) else "own target"
-
-    @functools.cached_property
-    def drawn_bodies(self) -> tuple[ArmParameters, ...]:
-        """The bodies that episodes are made with, in the order of ``info["body"]``."""
-        return tuple(ArmParameters.from_dict(json.loads(each)) for each in drawn_bodies(self.text))
 
     @functools.cached_property
     def text(self) -> str:

@@ -328,6 +328,8 @@ def test_arguments_are_kept() -> None:
     env = gym.make("OctoArmReach-v0")
     with pytest.raises(AttributeError, match="OctoArmReach-v0"):
         env.unwrapped.max_force = 2.0  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match="OctoArmReach-v0"):
+        env.set_wrapper_attr("max_force", 2.0)
     envs = OctoArmReachVectorEnv(2)
     assert len(envs.get_attr("activations")) == 2
     with pytest.raises(AttributeError, match="segments"):

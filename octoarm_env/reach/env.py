@@ -6,25 +6,23 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, Literal, SupportsFloat
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from octoarm_env._core import ReachBatch
-from octoarm_env.arguments import generator_seed
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, BodyLike
 from octoarm_env.reach.settings import ReachSettings, goal_option, reach_bound
 from octoarm_env.rendering.camera import Camera
 from octoarm_env.rendering.history import ReachHistory
-from octoarm_env.rendering.pictures import Pictures, Scene, render_fps, warn_without_mode
-from octoarm_env.settings import MadeOnce
+from octoarm_env.rendering.pictures import Pictures, Scene, render_fps
+from octoarm_env.single import SingleEnv
 
 __all__ = ["OctoArmReachEnv"]
 
 
-class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
+class OctoArmReachEnv(SingleEnv):
     r"""The muscles of an octopus-like arm bring its tip to a goal; its base stands still.
 
     ## Description
@@ -153,7 +151,6 @@ class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
             [self._settings], render_mode, modes, width, height, camera, overlay
         )
         self._history = None if render_mode is None else ReachHistory(control_period)
-        self._seeded = False
         self.observation_space, self.action_space = goal_spaces(self._settings, self._core)
 
     _fixed = frozenset(inspect.signature(__init__).parameters) - {"self"}
@@ -176,12 +173,7 @@ class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
                 option.
         """
         goal = goal_option(options, reach_bound(self._settings.arm))
-        super().reset(seed=seed)
-        given = None if seed is None else generator_seed(seed)
-        if given is None and not self._seeded:
-            given = int(self.np_random.integers(2**63))
-        self._seeded = True
-        observations, infos = self._core.reset(None, [given], goal)
+        observations, infos = self._core.reset(None, [self._drawn_seed(seed)], goal)
         observation, info = _first(observations, infos)
         if self._history is not None:
             self._history.begin(info)
@@ -239,42 +231,6 @@ class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
         """Tell that a goal ends nothing: False."""
         return False
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Give a picture, or show it, as `render_mode` says.
-
-        Returns:
-            (height, width, 3), 0 to 255, with "rgb_array"; else None.
-
-        Raises:
-            gymnasium.error.ResetNeeded, gymnasium.error.DependencyNotInstalled: as
-                :meth:`octoarm_env.OctoArmEnv.render`.
-        """
-        if self._history is None:
-            warn_without_mode()
-            return None
-        if self.render_mode == "human":
-            self._show(self._history, again=True)
-            return None
-        return self._pictures.frame(0, self._history, reach_scene(self._core, 0, self._history))
-
-    def close(self) -> None:
-        """Close the window, if there is one; the arm could go on."""
-        self._pictures.close()
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """What draws the seed of the first reset without one.
-
-        After another was assigned, the next reset without a seed draws one from it.
-        """
-        return super().np_random
-
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self._np_random = value
-        self._np_random_seed = -1
-        self._seeded = False
-
     @property
     def activations(self) -> Float:
         """How active the muscles are, (segments, 5), each in [0, 1]."""
@@ -304,9 +260,9 @@ class OctoArmReachEnv(MadeOnce, gym.Env[dict[str, Float], NDArray[np.float32]]):
         settings = self._settings
         return ReachBatch(settings.text, settings.goal_table, 1, None, "disabled", 1)
 
-    def _show(self, history: ReachHistory, *, again: bool = False) -> None:
-        if self.render_mode == "human":
-            self._pictures.show(history, reach_scene(self._core, 0, history), again=again)
+    @property
+    def _scene(self) -> Scene:
+        return reach_scene(self._core, 0, self._history)
 
 
 def goal_spaces(settings: ReachSettings, core: ReachBatch) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ from octoarm_env._core import drawn_reach_bodies, reach_rewards
 from octoarm_env.arguments import flag, number, whole_number
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, plain
-from octoarm_env.settings import body_factors
+from octoarm_env.settings import Settings, body_factors
 
 Point = tuple[float, float, float]
 
@@ -34,7 +34,7 @@ def reachable_goals() -> Float:
 
 
 @dataclasses.dataclass(frozen=True)
-class ReachSettings:
+class ReachSettings(Settings):
     """What an episode of reaching is made of: the arguments of `OctoArmReachEnv` under their names.
 
     Attributes:
@@ -71,6 +71,10 @@ class ReachSettings:
     bodies: int = 1
     body_seed: int = 0
 
+    @staticmethod
+    def _draw(text: str) -> list[str]:
+        return drawn_reach_bodies(text)
+
     def __post_init__(self) -> None:
         """Bring what was given into its plain form.
 
@@ -102,19 +106,6 @@ class ReachSettings:
         """All settings as JSON can hold them; `from_dict` gives them back."""
         return dataclasses.asdict(self) | {"goals": plain(self.goals), "vary": plain(self.vary)}
 
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> ReachSettings:
-        """Read settings; what is left out takes its default.
-
-        Raises:
-            ValueError, TypeError: naming what is unknown or cannot be used.
-        """
-        known = [field.name for field in dataclasses.fields(cls)]
-        unknown = sorted(set(content) - set(known))
-        if unknown:
-            raise ValueError(f"unknown settings {unknown}; known are {known}")
-        return cls(**content)
-
     def reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
         """Give the reward of a tip for a goal, (3,) both, or (K,) rewards of (K, 3) both."""
         tips = np.asanyarray(achieved)
@@ -130,12 +121,6 @@ class ReachSettings:
     def title(self) -> str:
         """Of a picture."""
         return "reaching"
-
-    @functools.cached_property
-    def drawn_bodies(self) -> tuple[ArmParameters, ...]:
-        """The bodies that episodes are made with, in the order of ``info["body"]``."""
-        texts = drawn_reach_bodies(self.text)
-        return tuple(ArmParameters.from_dict(json.loads(each)) for each in texts)
 
     @functools.cached_property
     def text(self) -> str:
