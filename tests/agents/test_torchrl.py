@@ -132,3 +132,13 @@ def test_what_torchrl_itself_does_not_take() -> None:
         with pytest.raises((RuntimeError, AssertionError), match=error):
             envs.GymWrapper(gym.make_vec("OctoArm-v0", num_envs=2, autoreset_mode=mode))
     assert octoarm_env.OctoArmVectorEnv(2).autoreset_mode is AutoresetMode.NEXT_STEP
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_reaching(batch: bool) -> None:
+    """The specs of the goal environment, alone and in a batch."""
+    make: Any = gym.make_vec if batch else gym.make
+    more = {"num_envs": 3, "autoreset_mode": AutoresetMode.DISABLED} if batch else {}
+    env = envs.GymWrapper(make("OctoArmReach-v0", max_episode_steps=5, **more))
+    envs.check_env_specs(env, seed=0)
+    env.close()
