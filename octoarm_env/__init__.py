@@ -9,7 +9,8 @@ Importing this package registers ``OctoArm-v0`` and ``OctoArmReach-v0``::
     envs = gym.make_vec("OctoArm-v0", num_envs=64)
 
 The body without an episode around it is :class:`Arm`, its parameters are :class:`ArmParameters`;
-:mod:`octoarm_env.wrappers` scales observations for networks.
+:mod:`octoarm_env.wrappers` scales observations for networks; :mod:`octoarm_env.reach` is reaching
+with muscles.
 """
 
 from importlib.metadata import version
@@ -21,7 +22,7 @@ from gymnasium.envs.registration import register
 # too.
 __path__ = extend_path(__path__, __name__)
 
-from octoarm_env import wrappers
+from octoarm_env import reach, wrappers
 from octoarm_env._core import DomainError, instruction_set
 from octoarm_env.arm import Arm, ArmState, Energy, Linearisation
 from octoarm_env.arm_batch import ArmBatch, BatchRun
@@ -49,6 +50,7 @@ __all__ = [
     "TeacherPolicy",
     "VectorSnapshot",
     "instruction_set",
+    "reach",
     "wrappers",
 ]
 __version__ = version("octoarm-env")
