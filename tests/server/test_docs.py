@@ -118,7 +118,7 @@ def test_every_option_is_named() -> None:
 
 def test_every_setting_of_a_world_is_named(worlds: tuple[Joined, Joined]) -> None:
     episode = json.loads(worlds[0].properties["settings"])
-    source = (ROOT / "rust/server/src/world_settings.rs").read_text(encoding="utf-8")
+    source = (ROOT / "rust/server/src/task_settings.rs").read_text(encoding="utf-8")
     frame = re.search(r"const FRAME: .* = \[(.*)\];", source)
     assert frame is not None
     expected = (
