@@ -92,7 +92,7 @@ class RemoteOctoArm(ServedEnv, OctoArmEnv):
 
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
     :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
-    freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
+    freed by `close`, with the object, or with the process. A pickle holds the address and the
     token, and goes on in a world of its own on the same server. `spec` holds the address and
     `token_file`, but no token: an environment that is made of it takes ``OCTOARM_TOKEN``.
 
@@ -120,8 +120,8 @@ class RemoteOctoArm(ServedEnv, OctoArmEnv):
         RemoteError: the server refuses, such as for too many worlds, or is of another version.
 
     Ctrl-C, or an exception from a signal's handler, between a request and its answer ends the
-    stream: whether the arm made that step is then unknown. Every method but :meth:`reset` and
-    :meth:`close` raises ConnectionError from then on; :meth:`reset` goes on in a new world on the
+    stream: whether the arm made that step is then unknown. Every method but `reset` and
+    `close` raises ConnectionError from then on; `reset` goes on in a new world on the
     same server, as it does where the stream broke. With `reconnect` every method goes on, as if
     what was broken into had not been asked for. Threads that share an environment take turns, a
     request and its answer at a time.

@@ -90,7 +90,7 @@ class RemoteOctoArmVectorEnv(ServedBatchEnv, OctoArmVectorEnv):
     autoreset modes, infos, seeds, pictures, pickle and deepcopy are those of
     :class:`octoarm_env.OctoArmVectorEnv`, to the bit; a step of all arms is one round trip. Errors,
     interrupts and threads are those of :class:`octoarm_env.remote.RemoteOctoArm`: after a stream
-    that broke or was interrupted, a :meth:`reset` of all environments goes on, in a new world.
+    that broke or was interrupted, a `reset` of all environments goes on, in a new world.
 
     A ``snapshot`` holds states as bytes, less than half as many as their JSON text has;
     ``restore`` takes those of the local batch too.
