@@ -109,6 +109,29 @@ def test_rewards_of_other_goals_are_the_local_ones(make: Make) -> None:
         assert not remote.compute_terminated(tips[0], goals[0], {})
 
 
+def test_hindsight_experience_replay_learns_the_same(server: ServerProcess) -> None:
+    from stable_baselines3 import SAC, HerReplayBuffer
+
+    learnt = []
+    for name, access in (
+        ("OctoArmReachRemote-v0", {"address": server.address}),
+        ("OctoArmReach-v0", {}),
+    ):
+        env = gym.make(name, max_episode_steps=20, **access)
+        model = SAC(
+            "MultiInputPolicy",
+            env,
+            replay_buffer_class=HerReplayBuffer,
+            learning_starts=30,
+            batch_size=16,
+            seed=0,
+            policy_kwargs={"net_arch": [8]},
+        ).learn(50)
+        learnt.append({name: each.numpy() for name, each in model.policy.state_dict().items()})
+        env.close()
+    assert_same(*learnt)
+
+
 @pytest.mark.parametrize("disturbed", [{}, SENSED], ids=["plain", "sensed"])
 @pytest.mark.parametrize("mode", MODES)
 def test_conformance(server: ServerProcess, mode: AutoresetMode, disturbed: dict[str, Any]) -> None:
