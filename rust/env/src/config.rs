@@ -171,7 +171,7 @@ impl EpisodeConfig {
     /// Physics steps from one action to the next.
     #[must_use]
     pub fn physics_steps(&self) -> u32 {
-        (self.control_period / self.arm.timestep).round() as u32
+        whole_steps(self.control_period, self.arm.timestep)
     }
 
     /// Bounds of the observed spring lengths \[m\]: the domain's own.
@@ -231,8 +231,13 @@ pub(crate) fn length_bounds(arm: &ArmParameters) -> (f64, f64) {
     (low * arm.rest_length, high * arm.rest_length)
 }
 
-/// Checks a control period, and gives the physics steps in it.
-pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<u32, ParameterError> {
+/// Physics steps in a control period.
+pub(crate) fn whole_steps(control_period: f64, timestep: f64) -> u32 {
+    (control_period / timestep).round() as u32
+}
+
+/// Checks a control period: a whole number of physics steps.
+pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<(), ParameterError> {
     Interval::above(0.0, 10.0).check(control_period, || "control_period".to_owned())?;
     let steps = control_period / timestep;
     let whole = steps.round();
@@ -242,7 +247,7 @@ pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<u32, Pa
         );
         return Err(ParameterError::out_of_range("control_period", control_period, range));
     }
-    Ok(whole as u32)
+    Ok(())
 }
 
 /// Checks what is counted of the disturbances.

@@ -251,12 +251,6 @@ impl EpisodeBatch {
         self.tasks[index].swing()
     }
 
-    /// The last actions; after a reset, those that the swings were under.
-    #[must_use]
-    pub fn actions(&self) -> Vec<[f64; 2]> {
-        self.tasks.iter().map(LimitCycle::action).collect()
-    }
-
     /// The teachers' actions now.
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
@@ -319,6 +313,13 @@ impl<T: Task> EpisodeBatch<T> {
     #[must_use]
     pub fn elapsed(&self) -> Vec<u64> {
         self.tasks.iter().map(Task::elapsed).collect()
+    }
+
+    /// The last actions; after a reset, those that the arms were under before it: of a target the swings'
+    /// own, of muscles none.
+    #[must_use]
+    pub fn actions(&self) -> Vec<T::Action> {
+        self.tasks.iter().map(Task::action).collect()
     }
 
     /// Whether every episode was begun by a reset.

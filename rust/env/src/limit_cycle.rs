@@ -188,11 +188,6 @@ impl LimitCycle {
         self.as_action(self.swing().clock.command(self.tick, self.undisturbed).0)
     }
 
-    /// The action before; after a reset, that of the swing.
-    pub(crate) fn action(&self) -> [f64; 2] {
-        self.action
-    }
-
     /// The angles \[degrees\] that the base is commanded by an action, noise included.
     pub(crate) fn command(&mut self, action: [f64; 2]) -> [f64; 2] {
         let command = action.map(|share| share * self.action_range);
@@ -256,6 +251,10 @@ impl Task for LimitCycle {
 
     fn elapsed(&self) -> u64 {
         self.elapsed
+    }
+
+    fn action(&self) -> [f64; 2] {
+        self.action
     }
 
     fn seed(&mut self, seed: u64) {

@@ -33,6 +33,8 @@ pub enum Reading<O = Outcome> {
     Number(fn(&O) -> f64),
     /// Two angles \[degrees\].
     Angles(fn(&O) -> [f64; 2]),
+    /// A place \[m\].
+    Point(fn(&O) -> [f64; 3]),
     /// A count, from 0.
     Index(fn(&O) -> usize),
     /// A flag.
@@ -43,14 +45,45 @@ pub enum Reading<O = Outcome> {
 
 /// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.
 #[derive(Clone, Copy, Debug)]
-pub struct Word {
+pub struct Word<O: Words = Outcome> {
     /// Key in Python's `info`, and name of the observation on a server.
     pub name: &'static str,
     /// Part of the outcome that the word stands for.
-    pub reading: Reading,
-    /// The smallest and the largest value, where there are any, of an episode of these settings whose
-    /// target has the given amplitude \[degrees\].
-    pub bounds: fn(&EpisodeConfig, f64) -> [Option<f64>; 2],
+    pub reading: Reading<O>,
+    /// The smallest and the largest value, where there are any, of an episode of these settings.
+    pub bounds: O::Bounds,
+}
+
+/// What can be told of an outcome.
+pub trait Words: Copy + std::fmt::Debug + 'static {
+    /// Bounds from the settings of an episode.
+    type Bounds: Copy + std::fmt::Debug + 'static;
+
+    /// What Gymnasium gives beside the info: reward, and the two ends.
+    fn result() -> &'static [Word<Self>; 3];
+
+    /// What is in the observation beside what is seen of the springs.
+    fn seen() -> &'static [Word<Self>];
+
+    /// What Gymnasium gives in the info.
+    fn info() -> &'static [Word<Self>];
+}
+
+impl Words for Outcome {
+    /// Of a target that has the given amplitude \[degrees\].
+    type Bounds = fn(&EpisodeConfig, f64) -> [Option<f64>; 2];
+
+    fn result() -> &'static [Word; 3] {
+        &Self::RESULT
+    }
+
+    fn seen() -> &'static [Word] {
+        &[]
+    }
+
+    fn info() -> &'static [Word] {
+        &Self::INFO
+    }
 }
 
 /// Each of the two entries of an action changes by at most 2.

@@ -45,6 +45,9 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// Steps since the reset.
     fn elapsed(&self) -> u64;
 
+    /// The last action; after a reset, the one that the arm was under before it.
+    fn action(&self) -> Self::Action;
+
     /// Starts the generator of resets anew.
     fn seed(&mut self, seed: u64);
 

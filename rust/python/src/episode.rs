@@ -103,6 +103,9 @@ fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>>
             Reading::Angles(read) => {
                 info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
             }
+            Reading::Point(read) => {
+                info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
+            }
             Reading::Index(read) => info.set_item(word.name, index.call1((read(outcome),))?)?,
             Reading::Flag(read) => info.set_item(word.name, read(outcome))?,
             Reading::Text(read) => {

@@ -41,6 +41,10 @@ pub(crate) fn infos<'py, O>(
                 let values = some().flat_map(|outcome| outcome.map_or([0.0; 2], read)).collect();
                 infos.set_item(name, table(py, values, 2)?)?;
             }
+            Reading::Point(read) => {
+                let values = some().flat_map(|outcome| outcome.map_or([0.0; 3], read)).collect();
+                infos.set_item(name, table(py, values, 3)?)?;
+            }
             Reading::Index(read) => {
                 let index = |outcome| read(outcome) as i64;
                 let values: Vec<i64> = some().map(|outcome| outcome.map_or(0, index)).collect();
