@@ -283,10 +283,17 @@ pub(crate) fn draw_bodies(
     let Ok(Value::Object(nominal)) = serde_json::to_value(arm) else {
         return Err(ParameterError::Format("the body has no JSON form".to_owned()));
     };
-    // A number that has a point in JSON; counts have none.
-    let varies = |name: &str| -> Option<f64> {
-        let number = nominal.get(name).filter(|value| value.is_f64() && !FIXED.contains(&name));
-        number.and_then(Value::as_f64)
+    let lists = arm.per_compartment().map(|(name, ..)| name);
+    // A number that has a point in JSON, counts have none; or one for each compartment.
+    let varies = |name: &str| -> Option<&Value> {
+        let value = nominal.get(name).filter(|_| !FIXED.contains(&name));
+        value.filter(|value| value.is_f64() || lists.contains(&name))
+    };
+    let scaled = |value: &Value, factor: f64| match value {
+        Value::Array(entries) => {
+            entries.iter().filter_map(Value::as_f64).map(|entry| factor * entry).collect()
+        }
+        value => Value::from(factor * value.as_f64().unwrap_or_default()),
     };
     if let Some(name) = vary.keys().find(|name| varies(name).is_none()) {
         let known: Vec<&str> =
@@ -299,8 +306,7 @@ pub(crate) fn draw_bodies(
         let mut drawn = nominal.clone();
         for (name, [low, high]) in vary {
             let factor = low + (high - low) * share(&mut generator);
-            let value = factor * varies(name).unwrap_or_default();
-            drawn.insert(name.clone(), value.into());
+            drawn.insert(name.clone(), scaled(&nominal[name], factor));
         }
         let drawn: ArmParameters = read_fields(Value::Object(drawn))?;
         drawn.validate()?;
@@ -370,14 +376,14 @@ mod tests {
         let nominal = ArmParameters::default();
         let factors: Vec<f64> = drawn
             .iter()
-            .map(|arm| arm.longitudinal_stiffness / nominal.longitudinal_stiffness)
+            .map(|arm| arm.longitudinal_stiffness.at(0) / nominal.longitudinal_stiffness.at(0))
             .collect();
         assert!(factors.iter().all(|factor| (0.5..=2.0).contains(factor)), "{factors:?}");
         assert!(factors.iter().any(|factor| *factor < 0.7), "{factors:?}");
         assert!(factors.iter().any(|factor| *factor > 1.8), "{factors:?}");
         for arm in &drawn {
             assert!((0.9..=1.0).contains(&(arm.arm_density / nominal.arm_density)));
-            let longitudinal_stiffness = nominal.longitudinal_stiffness;
+            let longitudinal_stiffness = nominal.longitudinal_stiffness.clone();
             let arm_density = nominal.arm_density;
             let same = ArmParameters { longitudinal_stiffness, arm_density, ..arm.clone() };
             assert_eq!(same, nominal);
@@ -386,6 +392,22 @@ mod tests {
         assert_ne!(bodies(1), drawn);
         let plain = EpisodeConfig::default().checked().expect("valid");
         assert_eq!(plain.drawn_bodies(), [nominal]);
+    }
+
+    #[test]
+    fn a_factor_is_of_every_entry_of_a_list() {
+        let text = r#"{"arm": {"compartments": 3, "transverse_damping": [0.5, 1.0, 2.0]},
+            "bodies": 20, "vary": {"transverse_damping": [0.5, 2.0]}}"#;
+        let config = EpisodeConfig::from_json(text).expect("settings").checked().expect("valid");
+        let first = |arm: &ArmParameters| arm.transverse_damping.at(0);
+        for arm in config.drawn_bodies() {
+            let factor = first(arm) / 0.5;
+            assert!((0.5..=2.0).contains(&factor), "{factor}");
+            // 0.5, 1 and 2 are powers of 2: nothing is rounded.
+            assert_eq!(arm.transverse_damping, vec![0.5 * factor, factor, 2.0 * factor].into());
+        }
+        let drawn = config.drawn_bodies();
+        assert!(drawn.iter().any(|arm| first(arm) != first(&drawn[0])));
     }
 
     #[test]

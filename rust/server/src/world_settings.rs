@@ -18,7 +18,7 @@ const MAX_EPISODE_STEPS: u64 = 500;
 const ARM: &str = "arm.";
 /// Before the name of a parameter of the body that varies.
 const VARY: &str = "vary.";
-/// Most numbers of any setting but a target.
+/// Most numbers of any setting but a target and what the body has for each compartment.
 const FEW: usize = 16;
 /// Most rows of a target: a period of 65 s at 1 ms.
 const MOST_ROWS: usize = 1 << 16;
@@ -114,6 +114,13 @@ fn known() -> &'static BTreeSet<String> {
     &KNOWN
 }
 
+/// Names of the body's parameters that may have a number for each compartment.
+fn lists() -> [&'static str; 8] {
+    static LISTS: LazyLock<[&str; 8]> =
+        LazyLock::new(|| ArmParameters::default().per_compartment().map(|(name, ..)| name));
+    *LISTS
+}
+
 /// How many arms of the usual size one of these settings counts for.
 pub(crate) fn weight(config: &EpisodeConfig) -> f64 {
     (config.arm.compartments as f64 / USUAL_COMPARTMENTS).max(1.0)
@@ -162,7 +169,11 @@ impl WorldSettings {
         }
         // In the order of their names: "arm", a whole body, comes before "arm.…", changes to it.
         for (name, tensor) in tensors {
-            let most = if name == "target" { 2 * MOST_ROWS } else { FEW };
+            let most = match name.strip_prefix(ARM) {
+                _ if name == "target" => 2 * MOST_ROWS,
+                Some(parameter) if lists().contains(&parameter) => ArmParameters::MAX_COMPARTMENTS,
+                _ => FEW,
+            };
             let value = to_json(name, tensor, most)?;
             if name == "arm" {
                 arm = named_body(&value)?;
@@ -369,6 +380,8 @@ mod tests {
             ("actuator", text("direct")),
             ("arm.compartments", integer(4)),
             ("arm.area_scale", doubles(vec![0.5], &[])),
+            ("arm.longitudinal_stiffness", doubles(vec![150.0, 200.0, 250.5, 300.0], &[4])),
+            ("arm.plane_mass", doubles(vec![0.01], &[])),
             ("seed", unsigned(u64::MAX)),
             ("num_envs", doubles(vec![3.0], &[])),
             ("max_episode_steps", integer(-1)),
@@ -378,6 +391,9 @@ mod tests {
         assert_eq!(world.config.target, Target::Named(TargetName::Lissajous));
         assert_eq!(world.config.amplitude, Some(12.0));
         assert_eq!(world.config.arm.compartments, 4);
+        let stiffness = vec![150.0, 200.0, 250.5, 300.0];
+        assert_eq!(world.config.arm.longitudinal_stiffness, stiffness.into());
+        assert_eq!(world.config.arm.plane_mass, 0.01.into());
         assert_eq!(world.config.arm.area_scale.to_bits(), 0.5_f64.to_bits());
         assert_eq!((world.seed, world.num_envs), (Some(u64::MAX), Some(3)));
         assert_eq!((world.max_episode_steps, world.autoreset), (None, Autoreset::SameStep));
