@@ -101,7 +101,7 @@ const FIXED: [&str; 4] = ["compartments", "timestep", "rest_length", "servo_freq
 
 /// Settings that have been checked, with their bodies; shared, and never changed.
 #[derive(Clone, Debug)]
-pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>)>);
+pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>, Vec<Vec<f64>>)>);
 
 impl std::ops::Deref for CheckedConfig {
     type Target = EpisodeConfig;
@@ -116,6 +116,11 @@ impl CheckedConfig {
     #[must_use]
     pub fn drawn_bodies(&self) -> &[ArmParameters] {
         &self.0.1
+    }
+
+    /// The factors that a body was drawn with, in the order of `vary`.
+    pub(crate) fn factors(&self, body: usize) -> &[f64] {
+        &self.0.2[body]
     }
 
     /// Whether both are the very same.
@@ -165,7 +170,8 @@ impl EpisodeConfig {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
         }
         let drawn = draw_bodies(&self.arm, &self.vary, self.bodies, self.body_seed)?;
-        Ok(CheckedConfig(Arc::new((self, drawn))))
+        let factors = draw_factors(&self.vary, self.bodies, self.body_seed);
+        Ok(CheckedConfig(Arc::new((self, drawn, factors))))
     }
 
     /// Physics steps from one action to the next.
@@ -301,18 +307,27 @@ pub(crate) fn draw_bodies(
         let range = format!("of numbers of the body: {}", known.join(", "));
         return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
     }
-    let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
-    let body = |_| {
+    let body = |factors: Vec<f64>| {
         let mut drawn = nominal.clone();
-        for (name, [low, high]) in vary {
-            let factor = low + (high - low) * share(&mut generator);
+        for (name, factor) in vary.keys().zip(factors) {
             drawn.insert(name.clone(), scaled(&nominal[name], factor));
         }
         let drawn: ArmParameters = read_fields(Value::Object(drawn))?;
         drawn.validate()?;
         Ok(drawn)
     };
-    (0..bodies).map(body).collect()
+    draw_factors(vary, bodies, seed).into_iter().map(body).collect()
+}
+
+/// The factors of every body, in the order of `vary`.
+pub(crate) fn draw_factors(
+    vary: &BTreeMap<String, [f64; 2]>,
+    bodies: usize,
+    seed: u64,
+) -> Vec<Vec<f64>> {
+    let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
+    let mut draw = |[low, high]: &[f64; 2]| low + (high - low) * share(&mut generator);
+    (0..bodies).map(|_| vary.values().map(&mut draw).collect()).collect()
 }
 
 #[cfg(test)]

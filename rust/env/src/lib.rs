@@ -53,9 +53,9 @@ pub use episode_batch::{
 pub use limit_cycle::{EpisodeState, LimitCycle, check_actions, check_step};
 pub use orbit::{Orbit, Target, TargetName};
 pub use outcome::{Outcome, Reading, Word};
-pub use reach::{MUSCLES, Reach, ReachConfig, ReachOutcome, ReachReward, ReachState, distance};
-pub use reward::{Reward, RewardTerms};
-pub use senses::{Disturbances, Senses};
+pub use reach::{MUSCLES, Reach, ReachConfig, ReachOutcome, ReachState, distance};
+pub use reward::{ReachReward, Reward, RewardTerms};
+pub use senses::{DisturbanceInfo, Disturbances, Senses, Told};
 pub use swing::{Snapshot, Swing, SwingRun, Swings};
 pub use task::{Stage, Task};
 pub use teacher::TeacherClock;

@@ -12,28 +12,19 @@ use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{check_counts, check_period, draw_bodies, length_bounds};
+use crate::config::{check_counts, check_period, draw_bodies, draw_factors, length_bounds};
 use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::episode_batch::{Autoreset, EpisodeBatch};
 use crate::outcome::Reading;
-use crate::senses::{Disturbances, Senses};
+use crate::reward::ReachReward;
+use crate::senses::{DisturbanceInfo, Disturbances, Senses};
 use crate::task::{Stage, Task, check_entry, check_limit};
 
 /// Groups of muscles in a segment: the longitudinal ones of the four sides, and the transverse ones.
 pub const MUSCLES: usize = 5;
 /// Largest coordinate of a goal \[m\].
 const FARTHEST: f64 = 10.0;
-
-/// Reward of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ReachReward {
-    /// 0 within the threshold, else −1.
-    Sparse,
-    /// Minus the distance \[m\].
-    Dense,
-}
 
 /// Everything that `gym.make("OctoArmReach-v0", …)` takes, beside goals, rendering and length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -169,6 +160,8 @@ pub struct ReachOutcome {
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
     pub truncated: bool,
+    /// What lies between the agent and the body, where anything does.
+    pub disturbance: Option<Box<DisturbanceInfo>>,
 }
 
 impl ReachOutcome {
@@ -213,6 +206,8 @@ struct Shared {
     max_episode_steps: Option<u64>,
     /// The bodies at rest, and the states that they are in.
     bodies: Vec<(Arm, ArmState)>,
+    /// Factors that they were drawn with.
+    factors: Vec<Vec<f64>>,
     physics_steps: u32,
     /// Share of its way to the action that the activation makes in a physics step.
     pace: f64,
@@ -283,6 +278,7 @@ impl Shared {
             goals,
             max_episode_steps,
             bodies,
+            factors: draw_factors(&config.vary, config.bodies, config.body_seed),
             forces,
             config,
         })
@@ -302,6 +298,7 @@ impl Reach {
             body: self.body,
             failure,
             truncated: false,
+            disturbance: None,
         }
     }
 
@@ -463,6 +460,13 @@ impl Task for Reach {
             self.seen.clear();
             self.seen.extend_from_slice(row);
         }
+    }
+
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut ReachOutcome) {
+        let Shared { disturbances, factors, .. } = &*self.shared;
+        let senses = self.senses.as_ref();
+        outcome.disturbance =
+            DisturbanceInfo::of(senses, disturbances, &factors[self.body], lengths);
     }
 
     fn show(&self, row: &mut [f64]) {

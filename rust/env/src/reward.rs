@@ -44,3 +44,13 @@ impl Reward {
         }
     }
 }
+
+/// Reward of a step of reaching.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReachReward {
+    /// 0 within the threshold, else −1.
+    Sparse,
+    /// Minus the distance \[m\].
+    Dense,
+}
