@@ -91,10 +91,11 @@ class RemoteOctoArm(ServedEnv, OctoArmEnv):
     """``OctoArm-v0`` computed by a server: the same environment, the same bits, over gRPC.
 
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
-    :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
-    freed by `close`, with the object, or with the process. A pickle holds the address and the
-    token, and goes on in a world of its own on the same server. `spec` holds the address and
-    `token_file`, but no token: an environment that is made of it takes ``OCTOARM_TOKEN``.
+    :class:`octoarm_env.OctoArmEnv`; but infos do not tell of disturbances. Every environment has a
+    stream and a world of its own; both are freed by `close`, with the object, or with the process.
+    A pickle holds the address and the token, and goes on in a world of its own on the same server.
+    `spec` holds the address and `token_file`, but no token: an environment that is made of it takes
+    ``OCTOARM_TOKEN``.
 
     Args:
         address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``

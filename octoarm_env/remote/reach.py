@@ -80,8 +80,9 @@ class RemoteOctoArmReach(ServedEnv, OctoArmReachEnv):
     """``OctoArmReach-v0`` computed by a server: the same environment, the same bits, over gRPC.
 
     Spaces, rewards, starting states, ends, infos, pictures, pickle, deepcopy and `compute_reward`
-    are those of :class:`octoarm_env.reach.OctoArmReachEnv`; streams, errors, interrupts and threads
-    those of :class:`octoarm_env.remote.RemoteOctoArm`. The world is a batch of one arm.
+    are those of :class:`octoarm_env.reach.OctoArmReachEnv`, but infos do not tell of disturbances;
+    streams, errors, interrupts and threads those of :class:`octoarm_env.remote.RemoteOctoArm`. The
+    world is a batch of one arm.
 
     Args:
         address, token, token_file, certificate, timeout, reconnect: as `RemoteOctoArm` takes them.

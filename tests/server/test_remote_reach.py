@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from clients import Client, assert_same, nothing_left
+from clients import Client, WithoutDisturbances, assert_same, nothing_left
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
@@ -140,7 +140,8 @@ def test_conformance(server: ServerProcess, mode: AutoresetMode, disturbed: dict
         "OctoArmReachRemote-v0", num_envs=3, address=server.address, autoreset_mode=mode, **options
     )
     try:
-        check_vector_env(envs, lambda: gym.make("OctoArmReach-v0", **options), steps=40)
+        made = lambda: WithoutDisturbances(gym.make("OctoArmReach-v0", **options))  # noqa: E731
+        check_vector_env(envs, made, steps=40)
     finally:
         envs.close()
 

@@ -10,7 +10,7 @@ use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::outcome::Outcome;
 use crate::reward::Reward;
-use crate::senses::{Disturbances, Senses};
+use crate::senses::{DisturbanceInfo, Disturbances, Senses};
 use crate::swing::{Snapshot, Swing, Swings};
 use crate::task::{Stage, Task, check_entry, check_limit};
 
@@ -234,6 +234,7 @@ impl LimitCycle {
             body: self.body,
             failure,
             truncated: false,
+            disturbance: None,
         }
     }
 }
@@ -340,6 +341,12 @@ impl Task for LimitCycle {
         if let Some(senses) = &mut self.senses {
             senses.see(&self.disturbances, lengths);
         }
+    }
+
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut Outcome) {
+        let factors = self.config.factors(self.body);
+        outcome.disturbance =
+            DisturbanceInfo::of(self.senses.as_ref(), &self.disturbances, factors, lengths);
     }
 
     fn show(&self, lengths: &mut [f64]) {

@@ -4,9 +4,10 @@ use octoarm_arm::DomainError;
 
 use crate::config::EpisodeConfig;
 use crate::reward::RewardTerms;
+use crate::senses::DisturbanceInfo;
 
 /// What a step or a reset brought, beside the spring lengths.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// Reward of the step, the sum of the terms; 0 of a reset.
     pub reward: f64,
@@ -24,10 +25,12 @@ pub struct Outcome {
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
     pub truncated: bool,
+    /// What lies between the agent and the body, where anything does.
+    pub disturbance: Option<Box<DisturbanceInfo>>,
 }
 
 /// How a word of an outcome is read.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub enum Reading<O = Outcome> {
     /// A number.
     Number(fn(&O) -> f64),
@@ -43,8 +46,17 @@ pub enum Reading<O = Outcome> {
     Text(fn(&O) -> Option<String>),
 }
 
+// By hand, since derived they would ask the outcome for as much.
+impl<O> Clone for Reading<O> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<O> Copy for Reading<O> {}
+
 /// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct Word<O: Words = Outcome> {
     /// Key in Python's `info`, and name of the observation on a server.
     pub name: &'static str,
@@ -54,8 +66,16 @@ pub struct Word<O: Words = Outcome> {
     pub bounds: O::Bounds,
 }
 
+impl<O: Words> Clone for Word<O> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<O: Words> Copy for Word<O> {}
+
 /// What can be told of an outcome.
-pub trait Words: Copy + std::fmt::Debug + 'static {
+pub trait Words: Clone + std::fmt::Debug + 'static {
     /// Bounds from the settings of an episode.
     type Bounds: Copy + std::fmt::Debug + 'static;
 

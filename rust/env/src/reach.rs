@@ -8,6 +8,7 @@ use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
+use crate::config::draw_factors;
 use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::episode_batch::{Autoreset, EpisodeBatch};
@@ -15,11 +16,11 @@ use crate::goals::{FARTHEST, check_goal};
 use crate::outcome::{Reading, Word, Words};
 use crate::reach_bodies::ReachBodies;
 use crate::reach_config::{MUSCLES, ReachConfig, ReachReward, distance};
-use crate::senses::{Disturbances, Senses};
+use crate::senses::{DisturbanceInfo, Disturbances, Senses};
 use crate::task::{Stage, Task, check_entry, check_limit};
 
 /// What a step or a reset brought, beside the spring lengths.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ReachOutcome {
     /// Reward of the step; 0 of a reset.
     pub reward: f64,
@@ -37,6 +38,8 @@ pub struct ReachOutcome {
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
     pub truncated: bool,
+    /// What lies between the agent and the body, where anything does.
+    pub disturbance: Option<Box<DisturbanceInfo>>,
 }
 
 impl ReachOutcome {
@@ -154,6 +157,8 @@ struct Shared {
     max_episode_steps: Option<u64>,
     /// The bodies at rest, and the states that they are in.
     bodies: Vec<(Arm, ArmState)>,
+    /// Factors that they were drawn with.
+    factors: Vec<Vec<f64>>,
     physics_steps: u32,
     /// Share of its way to the action that the activation makes in a physics step.
     pace: f64,
@@ -202,6 +207,7 @@ impl Shared {
             goals,
             max_episode_steps,
             bodies,
+            factors: draw_factors(&config.vary, config.bodies, config.body_seed),
             forces,
             config,
         })
@@ -221,6 +227,7 @@ impl Reach {
             body: self.body,
             failure,
             truncated: false,
+            disturbance: None,
         }
     }
 
@@ -391,6 +398,13 @@ impl Task for Reach {
             self.seen.clear();
             self.seen.extend_from_slice(row);
         }
+    }
+
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut ReachOutcome) {
+        let Shared { disturbances, factors, .. } = &*self.shared;
+        let senses = self.senses.as_ref();
+        outcome.disturbance =
+            DisturbanceInfo::of(senses, disturbances, &factors[self.body], lengths);
     }
 
     fn show(&self, row: &mut [f64]) {

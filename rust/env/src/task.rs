@@ -108,6 +108,10 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// of [`Task::observation_len`], and begins with the lengths.
     fn see(&mut self, row: &mut [f64]);
 
+    /// Adds to an outcome what lies between the agent and the body, after [`Task::see`]; the lengths \[m\]
+    /// are those of the springs themselves.
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut Self::Outcome);
+
     /// Turns the lengths of the springs into what the agent has seen of them.
     fn show(&self, row: &mut [f64]);
 

@@ -19,7 +19,7 @@ pub(crate) const ARM: &str = "arm.";
 pub(crate) const VARY: &str = "vary.";
 /// Most rows of a target, a period of 65 s at 1 ms, and most goals.
 const MOST_ROWS: usize = 1 << 16;
-/// Most numbers of any other setting.
+/// Most numbers of any other setting, but for those of every compartment.
 const FEW: usize = 16;
 
 /// What is the world's beside the episode's own settings.
@@ -69,6 +69,9 @@ impl TaskName {
         match setting {
             "target" => 2 * MOST_ROWS,
             "goals" => 3 * MOST_ROWS,
+            _ if setting.strip_prefix(ARM).is_some_and(|name| lists().contains(&name)) => {
+                ArmParameters::MAX_COMPARTMENTS
+            }
             _ => FEW,
         }
     }
@@ -109,6 +112,13 @@ impl TaskName {
             known.join(", ")
         )))
     }
+}
+
+/// Names of the body's parameters that may have a number for each compartment.
+fn lists() -> [&'static str; 8] {
+    static LISTS: LazyLock<[&str; 8]> =
+        LazyLock::new(|| ArmParameters::default().per_compartment().map(|(name, ..)| name));
+    *LISTS
 }
 
 /// Checked settings of the episodes of a world.

@@ -202,6 +202,8 @@ mod tests {
             ("actuator", text("direct")),
             ("arm.compartments", integer(4)),
             ("arm.area_scale", doubles(vec![0.5], &[])),
+            ("arm.longitudinal_stiffness", doubles(vec![150.0, 200.0, 250.5, 300.0], &[4])),
+            ("arm.plane_mass", doubles(vec![0.01], &[])),
             ("seed", unsigned(u64::MAX)),
             ("num_envs", doubles(vec![3.0], &[])),
             ("max_episode_steps", integer(-1)),
@@ -211,6 +213,9 @@ mod tests {
         assert_eq!(config(&world).target, Target::Named(TargetName::Lissajous));
         assert_eq!(config(&world).amplitude, Some(12.0));
         assert_eq!(config(&world).arm.compartments, 4);
+        let stiffness = vec![150.0, 200.0, 250.5, 300.0];
+        assert_eq!(config(&world).arm.longitudinal_stiffness, stiffness.into());
+        assert_eq!(config(&world).arm.plane_mass, 0.01.into());
         assert_eq!(config(&world).arm.area_scale.to_bits(), 0.5_f64.to_bits());
         assert_eq!((world.seed, world.num_envs), (Some(u64::MAX), Some(3)));
         assert_eq!((world.max_episode_steps, world.autoreset), (None, Autoreset::SameStep));
