@@ -1,8 +1,8 @@
 """Writes the trained networks as the page loads them: python3 agents.py FOLDER.
 
-A file is the length of its header as 32 bits, the header in JSON, then mean and scale of the lengths in
-double precision, and weights and bias of every layer in single precision, all little-endian, as
-`rust/web/src/network.rs` reads them.
+A file is the length of its header as 32 bits, the header in JSON, then mean and scale of the
+lengths in double precision, and weights and bias of every layer in single precision, all
+little-endian, as `rust/web/src/network.rs` reads them.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ import { type Rgb, SPRINGS, strainColour } from "./colours";
 /** Seconds of the base's way that the portrait shows. */
 const PAST = 2.5;
 
-function token(name: string): string {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+/** A colour of the style sheet, as it is where the canvas stands. */
+function token(canvas: HTMLCanvasElement, name: string): string {
+  return getComputedStyle(canvas).getPropertyValue(name).trim();
 }
 
 /** A canvas as large as it is shown, in pixels of the screen, and its pen in CSS pixels; wiped. */
@@ -43,14 +44,15 @@ export function drawThumbnail(canvas: HTMLCanvasElement, orbit: ArrayLike<number
   let most = 0;
   for (let k = 0; k < orbit.length; k++) most = Math.max(most, Math.abs(orbit[k]!));
   const scale = (0.5 * Math.min(width, height) - 3) / most;
-  context.strokeStyle = token("--text");
+  context.strokeStyle = token(canvas, "--text");
   context.lineWidth = 1.6;
   curve(context, orbit, (x, y) => [width / 2 + scale * x, height / 2 - scale * y]);
 }
 
 /** Where the base was and is, in the plane of its two angles. */
 export class Portrait {
-  private readonly past: [number, number, number][] = [];
+  /** Time [s] and base angles [degrees] of the last seconds. */
+  readonly past: [number, number, number][] = [];
   private orbit: Float64Array = new Float64Array(0);
   private range = 60;
 
@@ -81,25 +83,25 @@ export class Portrait {
     const scale = (0.5 * Math.min(width, height) - 6) / this.range;
     const place = (x: number, y: number): [number, number] => [width / 2 + scale * x, height / 2 - scale * y];
     context.lineWidth = 1;
-    context.strokeStyle = token("--line");
+    context.strokeStyle = token(this.canvas, "--line");
     context.beginPath();
     context.moveTo(0, height / 2);
     context.lineTo(width, height / 2);
     context.moveTo(width / 2, 0);
     context.lineTo(width / 2, height);
     context.stroke();
-    context.fillStyle = token("--muted");
+    context.fillStyle = token(this.canvas, "--muted");
     context.font = "12px system-ui, sans-serif";
     context.fillText("θ", width - 14, height / 2 - 6);
     context.fillText("φ", width / 2 + 6, 14);
     context.fillText(`±${Math.round(this.range)}°`, 6, height - 8);
     if (this.orbit.length > 0) {
-      context.strokeStyle = token("--target");
+      context.strokeStyle = token(this.canvas, "--target");
       context.lineWidth = 5;
       context.lineJoin = "round";
       curve(context, this.orbit, place);
     }
-    context.strokeStyle = token("--base");
+    context.strokeStyle = token(this.canvas, "--base");
     context.lineWidth = 2;
     for (let k = 1; k < this.past.length; k++) {
       const [[, a, b], [time, c, d]] = [this.past[k - 1]!, this.past[k]!];
@@ -112,7 +114,7 @@ export class Portrait {
     context.globalAlpha = 1;
     const now = this.past.at(-1);
     if (now) {
-      context.fillStyle = token("--base");
+      context.fillStyle = token(this.canvas, "--base");
       context.beginPath();
       context.arc(...place(now[1], now[2]), 5, 0, 2 * Math.PI);
       context.fill();
@@ -126,7 +128,7 @@ export function drawStrain(canvas: HTMLCanvasElement, lengths: Float64Array, res
   if (!drawn) return;
   const [context, width, height] = drawn;
   const columns = lengths.length / 4;
-  const ground = token("--cell").split(" ").map(Number) as unknown as Rgb;
+  const ground = token(canvas, "--cell").split(" ").map(Number) as unknown as Rgb;
   const [left, gap] = [10, 1.5];
   const [w, h] = [(width - left) / columns, height / 4];
   const rgb = [0, 0, 0];
@@ -153,14 +155,14 @@ export function drawWeights(canvas: HTMLCanvasElement, weights: Float64Array): v
   context.font = "12px system-ui, sans-serif";
   for (let output = 0; output < 2; output++) {
     const middle = (height * (1 + 2 * output)) / 4;
-    context.fillStyle = token("--muted");
+    context.fillStyle = token(canvas, "--muted");
     context.fillText(output === 0 ? "θ" : "φ", 0, middle + 4);
     context.fillRect(14, middle - 0.5, width - 14, 1);
     for (let spring = 0; spring < springs; spring++) {
       const weight = weights[2 * spring + output]!;
       // Few weights are large: the bars go with the square root.
       const tall = Math.sqrt(Math.abs(weight) / most) * (height / 4 - 3) * Math.sign(weight);
-      context.fillStyle = token(output === 0 ? "--accent" : "--base");
+      context.fillStyle = token(canvas, output === 0 ? "--accent" : "--base");
       context.fillRect(16 + spring * w, tall > 0 ? middle - tall : middle, Math.max(w - 1, 1), Math.abs(tall));
     }
   }

@@ -40,10 +40,14 @@ const CAP = [30, 60, 88].map((angle) => (angle * Math.PI) / 180);
 /** Length of the pointer that draws the base's way [m]. */
 const POINTER = 0.12;
 /** Points of that way. */
-const TRAIL = 400;
+const TRAIL = 600;
 /** How near to the arm a finger takes it [pixels]. */
 const REACH = 44;
 const FLOOR = -0.62;
+/** How far the camera stands from the arm [m], and what it sees at least to each side, and up and down. */
+const DISTANCE = 1.35;
+const ASIDE = 0.46;
+const UPWARDS = 0.42;
 
 export interface Hand {
   /** The arm was taken, or wants to be there: base angles [degrees]. */
@@ -77,11 +81,9 @@ export class ArmScene {
   private readonly water: Points;
   private readonly trail: Line<BufferGeometry, LineBasicMaterial>;
   private readonly orbit = new LineLoop(new BufferGeometry(), new LineBasicMaterial({ transparent: true, opacity: 0.75 }));
-  private readonly target = new Mesh(new SphereGeometry(0.006, 16, 12), new MeshBasicMaterial({ color: 0xffffff }));
   private planes = 0;
   private joints: Float64Array<ArrayBufferLike> = new Float64Array(0);
   private centres = new Float32Array(0);
-  private trailPoints = 0;
   private readonly still: boolean;
   /** The distance from the base at which the arm was taken, where on its sphere, and the finger. */
   private grabbed: { distance: number; at: Vector3; pointer: number } | null = null;
@@ -91,9 +93,9 @@ export class ArmScene {
     this.still = still;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = SRGBColorSpace;
-    this.camera.position.set(0.52, 0.02, 0.92);
+    this.camera.position.set(0.6, -0.02, DISTANCE - 0.25);
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.target.set(0, -0.17, 0);
+    this.controls.target.set(0, -0.13, 0);
     this.controls.enablePan = false;
     this.controls.minDistance = 0.5;
     this.controls.maxDistance = 2.2;
@@ -105,19 +107,22 @@ export class ArmScene {
     this.scene.add(new HemisphereLight(0xd8f4ff, 0x36505a, 1.7), new AmbientLight(0xffffff, 0.35));
     const sun = new DirectionalLight(0xfff4e0, 2.1);
     sun.position.set(0.6, 1.4, 0.8);
-    this.scene.add(sun);
+    // What looks at the arm lights it too: it hangs, and the sun stands high.
+    const lamp = new DirectionalLight(0xffffff, 2.4);
+    this.camera.add(lamp);
+    this.scene.add(sun, this.camera);
 
-    const metal = new MeshStandardMaterial({ color: 0xdde5e8, metalness: 0.35, roughness: 0.35 });
+    const metal = new MeshStandardMaterial({ color: 0xaebfc6, metalness: 0.2, roughness: 0.45 });
     const plate = new Mesh(new CylinderGeometry(0.024, 0.024, 0.008, 40), metal);
     plate.position.y = 0.004;
     const rod = new Mesh(new CylinderGeometry(0.0022, 0.0022, POINTER, 12), metal);
     rod.position.y = POINTER / 2;
-    const tip = new Mesh(new SphereGeometry(0.006, 20, 16), new MeshStandardMaterial({ color: 0xff9628, roughness: 0.4 }));
+    const tip = new Mesh(new SphereGeometry(0.006, 20, 16), new MeshStandardMaterial({ color: 0xff9628, roughness: 0.5 }));
     tip.position.y = POINTER;
     this.base.add(plate, rod, tip);
     const ring = new Mesh(new TorusGeometry(0.034, 0.0032, 14, 60), metal);
     ring.rotation.x = Math.PI / 2;
-    this.scene.add(this.base, ring, this.target, this.orbit);
+    this.scene.add(this.base, ring, this.orbit);
 
     const floor = new Mesh(
       new CircleGeometry(1.6, 72),
@@ -144,9 +149,9 @@ export class ArmScene {
     let seed = 7;
     const next = (): number => (seed = (seed * 48271) % 2147483647) / 2147483647;
     for (let k = 0; k < drifting.length; k += 3) {
-      drifting[k] = 2.4 * (next() - 0.5);
+      drifting[k] = 1.5 * (next() - 0.5);
       drifting[k + 1] = FLOOR + 1.3 * next();
-      drifting[k + 2] = 2.4 * (next() - 0.5);
+      drifting[k + 2] = 1.5 * (next() - 0.7);
     }
     this.water = new Points(
       new BufferGeometry().setAttribute("position", new BufferAttribute(drifting, 3)),
@@ -176,17 +181,19 @@ export class ArmScene {
     }
     this.orbit.geometry.dispose();
     this.orbit.geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(positions, 3));
-    this.clearTrail();
   }
 
   showTarget(shown: boolean): void {
     this.orbit.visible = shown;
-    this.target.visible = false;
   }
 
-  clearTrail(): void {
-    this.trailPoints = 0;
-    this.trail.geometry.setDrawRange(0, 0);
+  /** Draws the way of the pointer: times and base angles [degrees], the last ones if there are many. */
+  setTrail(past: readonly (readonly [number, number, number])[]): void {
+    const way = this.trail.geometry.getAttribute("position") as BufferAttribute;
+    const shown = past.slice(-TRAIL);
+    for (const [k, [, theta, phi]] of shown.entries()) this.pointerEnd(theta, phi, way.array as Float32Array, 3 * k);
+    way.needsUpdate = true;
+    this.trail.geometry.setDrawRange(0, shown.length);
   }
 
   get held(): boolean {
@@ -214,13 +221,6 @@ export class ArmScene {
     const end = new Float32Array(3);
     this.pointerEnd(theta, phi, end, 0);
     this.base.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), up.set(end[0]!, end[1]!, end[2]!).normalize());
-    const way = this.trail.geometry.getAttribute("position") as BufferAttribute;
-    const positions = way.array as Float32Array;
-    if (this.trailPoints === TRAIL) positions.copyWithin(0, 3, 3 * TRAIL);
-    else this.trailPoints++;
-    positions.set(end, 3 * (this.trailPoints - 1));
-    way.needsUpdate = true;
-    this.trail.geometry.setDrawRange(0, this.trailPoints);
   }
 
   draw(time: number): void {
@@ -235,8 +235,9 @@ export class ArmScene {
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
-    // A narrow stage shows the whole arm as a wide one does.
-    this.camera.fov = width < height ? 50 : 38;
+    // Whatever the shape of the stage, the arm fits in it.
+    const half = Math.max(UPWARDS, ASIDE / this.camera.aspect);
+    this.camera.fov = (2 * Math.atan(half / DISTANCE) * 180) / Math.PI;
     this.camera.updateProjectionMatrix();
   }
 
