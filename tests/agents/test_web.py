@@ -23,8 +23,6 @@ from octoarm_agents.web.serving import PAGE, PageNotFoundError, PageServer
 
 from octoarm_env import Arm, ArmParameters
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
 ROOT = Path(__file__).parents[2]
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -53,6 +51,7 @@ def url() -> Iterator[str]:
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on the path")
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
         yield browser
@@ -142,7 +141,9 @@ def test_lengths_are_those_of_the_native_arm(browser: Any, url: str, build: str)
         lengths = np.frombuffer(base64.b64decode(encoded), dtype="<f8").reshape(STEPS, -1)
         native = Arm(body).run(angles)
         assert np.abs(native - body.rest_length).max() > 1e-4  # they move
-        assert np.abs(lengths - native).max() < FAST
+        assert np.abs(lengths - native).max() < FAST, (
+            "run rust/web/build: the page is of another arm"
+        )
     page.close()
 
 
@@ -168,7 +169,8 @@ def test_the_exact_build_has_the_bits_of_all_machines(tmp_path: Path) -> None:
     )
     ran = subprocess.run([node, script], cwd=tmp_path, capture_output=True, check=True)
     lengths = np.frombuffer(ran.stdout, dtype="<f8").reshape(len(angles), -1)
-    assert np.array_equal(lengths, Arm().run(angles))
+    same = np.array_equal(lengths, Arm().run(angles))
+    assert same, "run rust/web/build exact, if the module is older than the arm"
 
 
 def test_dragging_moves_the_arm(page: Any) -> None:

@@ -259,7 +259,7 @@ class Page {
       const error = this.arm.fit(CYCLES[this.target].noise);
       find("fit-text").textContent = `Off by ${error < 0.1 ? error.toFixed(3) : error.toFixed(1)}° on average. Each bar is the weight of a spring:`;
       this.showWeights();
-      button("let-go").disabled = false;
+      button("let-go").disabled = button("readout-again").disabled = false;
       this.mark("step-go");
       this.say(`Fitted, with an error of ${error.toFixed(3)} degrees. Now let go.`);
     });
@@ -353,7 +353,7 @@ class Page {
       if (this.driver !== "hand") this.arm.reset();
       this.arm.set_target(target, CYCLES[target].amplitude);
       this.clear();
-      button("fit").disabled = button("let-go").disabled = true;
+      button("fit").disabled = button("let-go").disabled = button("readout-again").disabled = true;
       this.taught = false;
       (find("lesson") as unknown as HTMLProgressElement).value = 0;
       find("lesson-text").textContent = `This cycle takes ${CYCLES[target].steps / 1000} s to learn.`;
