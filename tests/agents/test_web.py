@@ -188,6 +188,28 @@ def test_dragging_moves_the_arm(page: Any) -> None:
     page.wait_for_function(f"octoarm.scene.middle().x > {where['x']} + 20", timeout=WAIT)
 
 
+def test_a_finger_moves_it_too(browser: Any, url: str) -> None:
+    context = browser.new_context(has_touch=True, viewport={"width": 390, "height": 844})
+    page = context.new_page()
+    page.goto(url)
+    page.wait_for_function("window.octoarm?.frames.drawn > 0", timeout=WAIT)
+    page.click("#pause")
+    finger = context.new_cdp_session(page)
+
+    def touch(kind: str, *points: dict[str, float]) -> None:
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": list(points)})
+
+    where = page.evaluate("octoarm.scene.middle()")
+    touch("touchStart", where)
+    touch("touchMove", where | {"x": where["x"] - 40.0})
+    assert page.evaluate("octoarm.scene.held")
+    page.evaluate("octoarm.advance(500)")
+    touch("touchEnd")
+    assert page.evaluate("octoarm.arm.phi") < -5.0
+    assert not page.evaluate("octoarm.scene.held")
+    context.close()
+
+
 def test_the_keys_move_it_too(page: Any) -> None:
     page.focus("#scene")
     for _ in range(5):
