@@ -67,10 +67,16 @@ register(
     vector_entry_point="octoarm_env.reach.vector:OctoArmReachVectorEnv",
     max_episode_steps=100,
 )
-# OctoArm-v0 on a server, octoarm_env.remote.
+# The same on a server, octoarm_env.remote.
 register(
     id="OctoArmRemote-v0",
     entry_point="octoarm_env.remote:RemoteOctoArm",
     vector_entry_point="octoarm_env.remote:RemoteOctoArmVectorEnv",
     max_episode_steps=500,
+)
+register(
+    id="OctoArmReachRemote-v0",
+    entry_point="octoarm_env.remote:RemoteOctoArmReach",
+    vector_entry_point="octoarm_env.remote:RemoteOctoArmReachVectorEnv",
+    max_episode_steps=100,
 )

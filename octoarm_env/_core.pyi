@@ -17,6 +17,7 @@ __all__ = [
     "ReachBatch",
     "check_actions",
     "check_parameters",
+    "check_reach_actions",
     "check_step",
     "drawn_bodies",
     "drawn_reach_bodies",
@@ -25,6 +26,7 @@ __all__ = [
     "limit_cycle_signal",
     "preset_parameters",
     "reach_rewards",
+    "reachable_goals",
 ]
 
 class DomainError(RuntimeError):
@@ -142,7 +144,9 @@ class ReachBatch:
     @property
     def action_len(self) -> int: ...
 
+def check_reach_actions(actions: ArrayLike, num_envs: int, muscles: int) -> _Float: ...
 def drawn_reach_bodies(config: str) -> list[str]: ...
+def reachable_goals() -> _Float: ...
 def reach_rewards(
     achieved: ArrayLike, desired: ArrayLike, sparse: bool, distance_threshold: float
 ) -> _Float: ...

@@ -20,6 +20,7 @@ from octoarm_env.arrays import Float
 from octoarm_env.rendering.history import BatchHistory, ReachHistories
 from octoarm_env.rendering.pictures import Pictures, Scene, warn_without_mode
 from octoarm_env.settings import MadeOnce
+from octoarm_env.single import SingleEnv
 
 Flags = NDArray[np.bool_]
 
@@ -55,7 +56,7 @@ class BatchEnv(MadeOnce, gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[
 
     metadata: dict[str, Any]
     autoreset_mode: AutoresetMode
-    _single: ClassVar[type[gym.Env[Any, Any]]]
+    _single: ClassVar[type[SingleEnv]]
     """What one of them is, alone."""
     _id: ClassVar[str]
     """By which they are registered."""
@@ -100,7 +101,8 @@ class BatchEnv(MadeOnce, gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[
 
     def _columns(self, kwargs: Mapping[str, Any]) -> dict[str, list[Any]]:
         """The arguments of `gym.make` for each environment."""
-        return {name: [value] * self.num_envs for name, value in kwargs.items()}
+        own = {name: value for name, value in kwargs.items() if name in self._single._fixed}
+        return {name: [value] * self.num_envs for name, value in own.items()}
 
     def _kept(self, spec: EnvSpec) -> EnvSpec:
         return dataclasses.replace(super()._kept(spec), max_episode_steps=self._max_episode_steps)

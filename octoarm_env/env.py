@@ -98,6 +98,15 @@ class OctoArmEnv(SingleEnv):
     | `reward_action_change` | float64        | see Rewards                                |
     | `body`                 | int64          | which of `settings.drawn_bodies` the arm is |
     | `failure`              | str            | only on termination                        |
+    | `body_factors`         | float64 (K,)   | with `vary`: the factors that `body` was drawn with, for the K names in alphabetical order |
+    | `action_noise`         | float64 (2,)   | with `action_noise`: what was added to the commanded angles in this step [degrees]; 0 after a reset |
+    | `true_lengths`         | float64 (80,)  | with `length_noise`, `delay` or `dropout`: the spring lengths themselves, now [m] |
+    | `dropped`              | bool (80,)     | with `dropout`: which springs are not seen in this episode |
+    | `delay`                | int64          | with `delay`: control periods that what is seen is old |
+
+    The last five are there only where their argument is on (not zero or None), and not over a server
+    (`OctoArmRemote-v0`). They are for who looks from outside, a critic or a log: an agent that is to
+    be robust must not see them.
 
     ## Arguments
     | Parameter              | Default       | Description                                             |

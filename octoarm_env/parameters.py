@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 
+import numpy as np
+
 from octoarm_env import _core
 
 #: The named bodies, each with all its fields, as the physics itself holds them.
@@ -55,6 +57,12 @@ class ArmParameters:
 
     Defaults are Table 1 of Nakajima et al. (2013); what the table leaves open is marked *open*.
 
+    Fields marked *each* are one number for the whole arm, or a sequence with a number for each
+    compartment, from base to tip, as many as there are `compartments`; it is kept as a tuple. The
+    entry j, counted from 0, is the value of compartment j: of its four longitudinal springs, and of
+    the plane that is its ceiling, with its four transverse springs and four joints. The base plane
+    has neither springs nor mass.
+
     ========================== ===================== ==================================================
     field                      range                 meaning
     ========================== ===================== ==================================================
@@ -63,13 +71,13 @@ class ArmParameters:
     rest_length                (0, 10] m             l_0 of every longitudinal spring
     base_radius                (0, 10] m             radius of the base plane
     tip_radius                 (0, 10] m             rest radius of the last plane; linear taper between
-    longitudinal_mass          (0, 100] kg           M_l, at the spring's upper joint
-    transverse_mass            [0, 100] kg           M_r, at the same joint
+    longitudinal_mass          (0, 100] kg           M_l, at the spring's upper joint (*each*)
+    transverse_mass            [0, 100] kg           M_r, at the same joint (*each*)
     longitudinal_mass_share    [1/3, 1]              part of M_l that moves with the joint (*open*)
-    longitudinal_damping       [0, 1e6] N s/m        C_l
-    transverse_damping         [0, 1e6] N s/m        C_r
-    longitudinal_stiffness     (0, 1e9] N/m          K_l
-    transverse_stiffness       (0, 1e9] N/m          K_r
+    longitudinal_damping       [0, 1e6] N s/m        C_l (*each*)
+    transverse_damping         [0, 1e6] N s/m        C_r (*each*)
+    longitudinal_stiffness     (0, 1e9] N/m          K_l (*each*)
+    transverse_stiffness       (0, 1e9] N/m          K_r (*each*)
     longitudinal_volume_gain   [0, 1e12] 1/m³        K_lv, Eq. 7
     transverse_volume_gain     [0, 1e12] 1/m³        K_rv, Eq. 8
     water_density              [0, 1e5] kg/m³        ρ_w; 0 takes the arm out of the water
@@ -81,8 +89,8 @@ class ArmParameters:
     drag_coefficients          5 numbers             Eq. 14, highest power first, angle in degrees
     lift_coefficients          5 numbers             Eq. 15, likewise
     lift_scale                 [-1e4, 1e4]           factor on the lift force; its sign is *open*: docs/body.md
-    plane_mass                 [0, 100] kg           M_ce at each plane's centre (*open*)
-    plane_inertia              [0, 100] kg m²        I_ce about x and y, twice that about z (*open*)
+    plane_mass                 [0, 100] kg           M_ce at each plane's centre (*open*, *each*)
+    plane_inertia              [0, 100] kg m²        I_ce about x and y, twice that about z (*open*, *each*)
     compartments               [1, 200]              number of compartments
     timestep                   (0, 0.1] s            Runge-Kutta step
     servo_frequency            (0, 1e4] Hz           natural frequency of the base servo (*open*)
@@ -97,13 +105,13 @@ class ArmParameters:
     rest_length: float = _default("rest_length")
     base_radius: float = _default("base_radius")
     tip_radius: float = _default("tip_radius")
-    longitudinal_mass: float = _default("longitudinal_mass")
-    transverse_mass: float = _default("transverse_mass")
+    longitudinal_mass: float | tuple[float, ...] = _default("longitudinal_mass")
+    transverse_mass: float | tuple[float, ...] = _default("transverse_mass")
     longitudinal_mass_share: float = _default("longitudinal_mass_share")
-    longitudinal_damping: float = _default("longitudinal_damping")
-    transverse_damping: float = _default("transverse_damping")
-    longitudinal_stiffness: float = _default("longitudinal_stiffness")
-    transverse_stiffness: float = _default("transverse_stiffness")
+    longitudinal_damping: float | tuple[float, ...] = _default("longitudinal_damping")
+    transverse_damping: float | tuple[float, ...] = _default("transverse_damping")
+    longitudinal_stiffness: float | tuple[float, ...] = _default("longitudinal_stiffness")
+    transverse_stiffness: float | tuple[float, ...] = _default("transverse_stiffness")
     longitudinal_volume_gain: float = _default("longitudinal_volume_gain")
     transverse_volume_gain: float = _default("transverse_volume_gain")
     water_density: float = _default("water_density")
@@ -115,8 +123,8 @@ class ArmParameters:
     drag_coefficients: tuple[float, float, float, float, float] = _default("drag_coefficients")
     lift_coefficients: tuple[float, float, float, float, float] = _default("lift_coefficients")
     lift_scale: float = _default("lift_scale")
-    plane_mass: float = _default("plane_mass")
-    plane_inertia: float = _default("plane_inertia")
+    plane_mass: float | tuple[float, ...] = _default("plane_mass")
+    plane_inertia: float | tuple[float, ...] = _default("plane_inertia")
     compartments: int = _default("compartments")
     timestep: float = _default("timestep")
     servo_frequency: float = _default("servo_frequency")
@@ -140,6 +148,20 @@ class ArmParameters:
     def replace(self, **changes: Any) -> ArmParameters:
         """Return a copy with some fields changed, validated again."""
         return dataclasses.replace(self, **changes)
+
+    def scaled(self, **factors: float) -> ArmParameters:
+        """Return a copy with some numbers multiplied, those of a tuple all by the same factor.
+
+        Args:
+            factors: by the names of the fields, such as `longitudinal_stiffness=1.2`.
+
+        Raises:
+            ValueError: the product is outside the field's range.
+            AttributeError: a field that does not exist.
+        """
+        return self.replace(
+            **{name: np.multiply(getattr(self, name), factor) for name, factor in factors.items()}
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as a dictionary of plain numbers, tuples and names."""

@@ -90,6 +90,10 @@ class Settings:
         """The settings as the physics reads them."""
         raise NotImplementedError
 
+    def to_dict(self) -> dict[str, Any]:
+        """All settings as JSON can hold them; `from_dict` gives them back."""
+        raise NotImplementedError
+
     @staticmethod
     def _draw(text: str) -> list[str]:
         """Give the bodies that settings draw, both as text."""

@@ -6,14 +6,16 @@ import copy
 import dataclasses
 import json
 import pickle
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octoarm_env import Arm, ArmParameters
+from octoarm_env import Arm, ArmBatch, ArmParameters, EpisodeSettings
 
 
 def test_defaults_are_table_1() -> None:
@@ -93,11 +95,101 @@ def test_files(tmp_path) -> None:
         ({"area_scale": object()}, TypeError, "not a number"),
         ({"drag_coefficients": (0, 0, 0, -1.0, 0.5)}, ValueError, "drag_coefficients"),
         ({"stiffness": 3.0}, TypeError, "stiffness"),
+        (
+            {"plane_mass": (0.0, 0.1)},
+            ValueError,
+            r"plane_mass has shape \(2,\), expected \(20,\), a number for each compartment, or one",
+        ),
+        (
+            {"transverse_damping": [1.0, -1.0], "compartments": 2},
+            ValueError,
+            r"transverse_damping\[1\] = -1 .* \[0, 1000000\]",
+        ),
+        ({"plane_inertia": [0.0, "x"], "compartments": 2}, ValueError, r"plane_inertia.*\"x\""),
+        ({"plane_mass": np.zeros((2, 2)), "compartments": 2}, ValueError, "plane_mass"),
+        ({"plane_mass": [0, float("nan")], "compartments": 2}, ValueError, "plane_mass"),
+        ({"longitudinal_mass": "heavy"}, ValueError, "longitudinal_mass: .*heavy.*a number, or a"),
+        ({"rest_length": [0.02] * 20}, ValueError, "rest_length: invalid type"),
     ],
 )
 def test_bad_values_are_named(fields: dict, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words):
         ArmParameters(**fields)
+
+
+def uneven() -> ArmParameters:
+    random = np.random.default_rng(5)
+    return ArmParameters(
+        longitudinal_stiffness=196 * random.uniform(0.8, 1.2, 20),
+        transverse_damping=random.uniform(0.5, 1.0, 20),
+        longitudinal_mass=[1.25e-3] * 19 + [2e-3],
+        plane_mass=1e-4 * np.arange(20),
+    )
+
+
+def test_a_number_for_each_compartment_goes_all_ways(tmp_path) -> None:
+    body = uneven()
+    assert body.longitudinal_mass == (1.25e-3,) * 19 + (2e-3,)
+    assert body.plane_mass[3] == 1e-4 * 3
+    assert hash(body) == hash(uneven())
+    assert pickle.loads(pickle.dumps(body)) == copy.deepcopy(body) == body == uneven()
+    body.to_json(tmp_path / "body.json")
+    assert (
+        ArmParameters.of(tmp_path / "body.json") == ArmParameters.from_dict(body.to_dict()) == body
+    )
+    arm = Arm(body, actuator="servo")
+    angles = 10 * np.random.default_rng(0).standard_normal((50, 2))
+    arm.run(angles)
+    assert pickle.loads(pickle.dumps(arm)).parameters == body
+    # In lanes, beside arms of one number.
+    bodies = [ArmParameters(), body, body.replace(plane_mass=body.plane_mass[::-1])]
+    batch = ArmBatch([Arm(each, actuator="servo") for each in bodies])
+    batch.run(angles)
+    for index, each in enumerate(bodies):
+        alone = Arm(each, actuator="servo")
+        alone.run(angles)
+        np.testing.assert_array_equal(batch.lengths[index], alone.lengths)
+    assert np.abs(np.diff(batch.lengths, axis=0)).max(axis=1).min() > 1e-9
+
+
+def test_the_first_entry_is_of_the_compartment_at_the_base() -> None:
+    stretch = Arm().lengths - 0.02
+    soft = Arm(ArmParameters(longitudinal_stiffness=[98.0] + [196.0] * 19)).lengths - 0.02
+    # The same weight hangs from springs half as stiff; their rings become a little narrower.
+    np.testing.assert_allclose(soft[:4], 2 * stretch[:4], rtol=0.05)
+    np.testing.assert_allclose(soft[8:], stretch[8:], rtol=0.05)
+
+
+def test_a_factor_is_of_every_entry() -> None:
+    body = uneven().scaled(longitudinal_stiffness=2.0, plane_mass=0.5, transverse_stiffness=3.0)
+    assert body.longitudinal_stiffness == tuple(2 * k for k in uneven().longitudinal_stiffness)
+    assert body.plane_mass == tuple(0.5 * m for m in uneven().plane_mass)
+    assert body.transverse_stiffness == 3 * 1570.0
+    kept = ("longitudinal_stiffness", "plane_mass", "transverse_stiffness")
+    assert body.replace(**{name: getattr(uneven(), name) for name in kept}) == uneven()
+    settings = EpisodeSettings("lissajous", arm=uneven(), vary={"plane_mass": (2.0, 2.0)}, bodies=2)
+    assert settings.drawn_bodies == (uneven().scaled(plane_mass=2.0),) * 2
+
+
+@pytest.mark.parametrize("name", ["OctoArm-v0", "OctoArmReach-v0"])
+def test_environments_take_numbers_for_each_compartment(name: str) -> None:
+    body = uneven()
+    env = gym.make(name, arm=body)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.settings == env.unwrapped.settings
+    assert again.unwrapped.settings.arm == body
+    envs = gym.make_vec(name, num_envs=2, arm=body.to_dict())
+
+    def seen(observation: Any) -> Any:
+        return observation["observation"] if isinstance(observation, dict) else observation
+
+    rows, one = envs.reset(seed=4)[0], env.reset(seed=4)[0]
+    np.testing.assert_array_equal(seen(one), seen(rows)[0])
+    action = env.action_space.sample()
+    rows, after = envs.step(np.stack([action] * 2))[0], env.step(action)[0]
+    np.testing.assert_array_equal(seen(after), seen(rows)[0])
+    assert not np.array_equal(seen(gym.make(name).reset(seed=4)[0]), seen(one))
+    envs.close()
 
 
 def test_numpy_values() -> None:

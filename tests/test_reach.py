@@ -275,6 +275,9 @@ def test_every_argument_survives_json() -> None:
     assert again.unwrapped.settings == settings  # type: ignore[attr-defined]
     assert ReachSettings.from_dict(settings.to_dict()) == settings
     assert len(settings.drawn_bodies) == 3
+    envs = gym.make_vec("OctoArmReach-v0", num_envs=2, segments=4, threads=1)
+    single = gym.make(envs.get_attr("spec")[0])
+    assert single.action_space.shape == (20,)
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,12 @@ class OctoArmReachEnv(SingleEnv):
     | `distance`   | float64 | from tip to goal [m]                          |
     | `body`       | int64   | which of `settings.drawn_bodies` the arm is    |
     | `failure`    | str     | only on termination                           |
+    | `body_factors` | float64 (K,) | with `vary`: the factors that `body` was drawn with, for the K names in alphabetical order |
+    | `true_lengths` | float64 (80,) | with `length_noise`, `delay` or `dropout`: the spring lengths themselves, now [m] |
+    | `dropped`    | bool (80,) | with `dropout`: which springs are not seen in this episode |
+    | `delay`      | int64   | with `delay`: control periods that what is seen is old |
+
+    The last four are there only where their argument is on (not zero or None).
 
     ## Arguments
     | Parameter            | Default    | Description                                     |

@@ -6,13 +6,12 @@ import dataclasses
 import functools
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from octoarm_env._core import drawn_reach_bodies, reach_rewards
+from octoarm_env import _core
 from octoarm_env.arguments import flag, number, whole_number
 from octoarm_env.arrays import Float
 from octoarm_env.parameters import ArmParameters, plain
@@ -25,10 +24,10 @@ Point = tuple[float, float, float]
 def reachable_goals() -> Float:
     """Where the tip of the default body has been held by its muscles, (K, 3) [m].
 
-    ``octoarm reachable-set`` has sampled them: held activations, drawn at random, five seconds from
+    ``octoarm reach goals`` has sampled them: held activations, drawn at random, five seconds from
     rest; the points are thinned to one in every cube of 12 mm.
     """
-    goals: Float = np.load(Path(__file__).with_name("goals.npy"))
+    goals = _core.reachable_goals()
     goals.flags.writeable = False
     return goals
 
@@ -73,7 +72,7 @@ class ReachSettings(Settings):
 
     @staticmethod
     def _draw(text: str) -> list[str]:
-        return drawn_reach_bodies(text)
+        return _core.drawn_reach_bodies(text)
 
     def __post_init__(self) -> None:
         """Bring what was given into its plain form.
@@ -109,7 +108,7 @@ class ReachSettings(Settings):
     def reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
         """Give the reward of a tip for a goal, (3,) both, or (K,) rewards of (K, 3) both."""
         tips = np.asanyarray(achieved)
-        rewards = reach_rewards(
+        rewards = _core.reach_rewards(
             np.atleast_2d(tips),
             np.atleast_2d(desired),
             self.reward_type == "sparse",

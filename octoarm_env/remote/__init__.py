@@ -1,4 +1,4 @@
-"""The environment ``OctoArm-v0`` on a server, one or many, over gRPC.
+"""The environments ``OctoArm-v0`` and ``OctoArmReach-v0`` on a server, one or many, over gRPC.
 
 Needs grpcio and protobuf: ``pip install "octoarm-env[remote]"``. A server is started by
 ``octoarm serve``, of the same version as this package.
@@ -7,6 +7,7 @@ Needs grpcio and protobuf: ``pip install "octoarm-env[remote]"``. A server is st
 try:
     from octoarm_env.remote.connection import Connection, RemoteError
     from octoarm_env.remote.env import RemoteOctoArm
+    from octoarm_env.remote.reach import RemoteOctoArmReach, RemoteOctoArmReachVectorEnv
     from octoarm_env.remote.vector import RemoteOctoArmVectorEnv
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
@@ -14,4 +15,11 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from error
 
-__all__ = ["Connection", "RemoteError", "RemoteOctoArm", "RemoteOctoArmVectorEnv"]
+__all__ = [
+    "Connection",
+    "RemoteError",
+    "RemoteOctoArm",
+    "RemoteOctoArmReach",
+    "RemoteOctoArmReachVectorEnv",
+    "RemoteOctoArmVectorEnv",
+]

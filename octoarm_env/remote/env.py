@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike
 
 from octoarm_env import _core
@@ -15,16 +12,17 @@ from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
 from octoarm_env.remote.connection import write_request
 from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
-from octoarm_env.remote.world import INFO, Access, RemoteWorld, without_token, world_settings
+from octoarm_env.remote.served import ACCESS, ServedEnv
+from octoarm_env.remote.world import Access, CycleWorld, world_settings
 from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
 
 _RUNNING, _TERMINATED = 1, 2
-_OBSERVED = ("spring_lengths", "reward", *INFO, "failure")
+_OBSERVED = ("spring_lengths", "reward", *CycleWorld._info, "failure")
 
 
-class RemoteEpisode(RemoteWorld):
+class RemoteEpisode(CycleWorld):
     """An episode in a world of its own on a server, with the methods of the compiled `Episode`.
 
     A seed is in [0, 2**64). Errors are a ValueError or TypeError that names the argument, its value
@@ -65,7 +63,7 @@ class RemoteEpisode(RemoteWorld):
         self._running = answer.state == _RUNNING
         terminated = answer.state == _TERMINATED
         info: dict[str, Any] = {}
-        for name in INFO:
+        for name in self._info:
             value = unpack(found[self._uids[name]])
             scalar = np.int64 if isinstance(value, int) else np.float64
             info[name] = value if isinstance(value, np.ndarray) else scalar(value)
@@ -89,14 +87,15 @@ class RemoteEpisode(RemoteWorld):
         return self.table("arm_positions")
 
 
-class RemoteOctoArm(OctoArmEnv):
+class RemoteOctoArm(ServedEnv, OctoArmEnv):
     """``OctoArm-v0`` computed by a server: the same environment, the same bits, over gRPC.
 
     Spaces, rewards, starting states, ends, infos, pictures, pickle and deepcopy are those of
-    :class:`octoarm_env.OctoArmEnv`. Every environment has a stream and a world of its own; both are
-    freed by :meth:`close`, with the object, or with the process. A pickle holds the address and the
-    token, and goes on in a world of its own on the same server. `spec` holds the address and
-    `token_file`, but no token: an environment that is made of it takes ``OCTOARM_TOKEN``.
+    :class:`octoarm_env.OctoArmEnv`; but infos do not tell of disturbances. Every environment has a
+    stream and a world of its own; both are freed by `close`, with the object, or with the process.
+    A pickle holds the address and the token, and goes on in a world of its own on the same server.
+    `spec` holds the address and `token_file`, but no token: an environment that is made of it takes
+    ``OCTOARM_TOKEN``.
 
     Args:
         address: where the server is: ``host:port``, ``http://host:port``, or ``https://host:port``
@@ -122,8 +121,8 @@ class RemoteOctoArm(OctoArmEnv):
         RemoteError: the server refuses, such as for too many worlds, or is of another version.
 
     Ctrl-C, or an exception from a signal's handler, between a request and its answer ends the
-    stream: whether the arm made that step is then unknown. Every method but :meth:`reset` and
-    :meth:`close` raises ConnectionError from then on; :meth:`reset` goes on in a new world on the
+    stream: whether the arm made that step is then unknown. Every method but `reset` and
+    `close` raises ConnectionError from then on; `reset` goes on in a new world on the
     same server, as it does where the stream broke. With `reconnect` every method goes on, as if
     what was broken into had not been asked for. Threads that share an environment take turns, a
     request and its answer at a time.
@@ -133,46 +132,9 @@ class RemoteOctoArm(OctoArmEnv):
     environments by ``"spawn"`` or ``"forkserver"``, or before the first environment is made.
     """
 
-    def __init__(
-        self,
-        address: str = "127.0.0.1:50051",
-        *,
-        token: str | None = None,
-        token_file: str | Path | None = None,
-        certificate: str | Path | None = None,
-        timeout: float = 60.0,
-        reconnect: bool = False,
-        **arguments: Any,
-    ) -> None:
-        self._access = Access(address, token, token_file, certificate, timeout, reconnect)
-        super().__init__(**arguments)
-
-    _fixed = OctoArmEnv._fixed | set(inspect.signature(__init__).parameters) - {"self", "arguments"}
+    _fixed = OctoArmEnv._fixed | ACCESS
     _remedy = 'gym.make("OctoArmRemote-v0", {}=...)'
     _core: RemoteEpisode  # type: ignore[assignment]  # it does what the compiled one does
 
     def _new_core(self) -> RemoteEpisode:
         return RemoteEpisode(self._access, self._settings)
-
-    def _kept(self, spec: EnvSpec) -> EnvSpec:
-        return without_token(super()._kept(spec))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float, dict[str, Any]]:
-        """Begin an episode on the orbit, as :meth:`octoarm_env.OctoArmEnv.reset` does.
-
-        Where the stream broke or was interrupted, on a new one, in a new world; without a seed
-        `np_random` then seeds its phases, as at the first reset.
-        """
-        core = self._core
-        with core.lock:
-            if core is self._core and core.is_lost():
-                self._core = self._new_core()
-                self._seeded = False
-        return super().reset(seed=seed, options=options)
-
-    def close(self) -> None:
-        """Close the window, if there is one, and the stream; the server frees the world."""
-        super().close()
-        self._core.close()

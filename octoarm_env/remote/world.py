@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -17,13 +17,7 @@ from octoarm_env.arguments import flag
 from octoarm_env.arrays import Float
 from octoarm_env.remote.connection import TOKEN_VARIABLE, Connection, write_request
 from octoarm_env.remote.messages import EnvironmentRequest
-from octoarm_env.settings import EpisodeSettings
-
-INFO = (
-    *("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
-    "body",
-)
-"""What a step tells of an arm in numbers."""
+from octoarm_env.settings import Settings
 
 _KEPT = 64
 """Requests after which the state is asked for, from which a broken stream is resumed.
@@ -85,7 +79,7 @@ def without_token(spec: EnvSpec) -> EnvSpec:
     return replace(spec, kwargs=kwargs)
 
 
-def world_settings(settings: EpisodeSettings) -> dict[str, Any]:
+def world_settings(settings: Settings) -> dict[str, Any]:
     """What a server makes a world of, whose episodes have these settings."""
     world: dict[str, Any] = {}
     for name, value in settings.to_dict().items():
@@ -107,6 +101,7 @@ class RemoteWorld:
         connection: the present stream.
         lock: held during a request and its answer.
         observation_len: spring lengths of an arm.
+        action_len: numbers of an arm's action.
         bounds: of the spring lengths [m].
     """
 
@@ -123,7 +118,8 @@ class RemoteWorld:
             self.connection.close()
             raise
         self._uids = {spec.name: uid for uid, spec in specs.observations.items()}
-        (self._action,) = (uid for uid, spec in specs.actions.items() if spec.name == "action")
+        ((self._action, action),) = specs.actions.items()
+        self.action_len = int(action.shape[-1])
         lengths = specs.observations[self._uids["spring_lengths"]]
         self.observation_len = int(lengths.shape[-1])
         self.bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
@@ -247,6 +243,16 @@ class RemoteWorld:
     def _loaded(self, begun: bool, ended: Any) -> None:
         """Take note of where a loaded state stands."""
         raise NotImplementedError
+
+
+class CycleWorld(RemoteWorld):
+    """A world whose arms follow a limit cycle."""
+
+    _info: ClassVar[tuple[str, ...]] = (
+        *("base_angles", "target", "tracking_error", "reward_tracking", "reward_action_change"),
+        "body",
+    )
+    """What a step tells of an arm in numbers."""
 
     @cached_property
     def action_range(self) -> float:

@@ -28,6 +28,22 @@ DRY = ArmParameters.preset("inertial").replace(
     longitudinal_volume_gain=0.0,
     transverse_volume_gain=0.0,
 )
+
+
+def uneven(compartments: int) -> dict[str, np.ndarray]:
+    """Stiffness, damping and masses that are random in every compartment."""
+    random = np.random.default_rng(compartments)
+    nominal = DRY.replace(plane_mass=0.01, plane_inertia=2e-6)
+    ranges = {"stiffness": (0.6, 1.2), "damping": (0.3, 1.1), "mass": (1.0, 1.8)}
+    return {
+        name: getattr(nominal, name) * random.uniform(*ranges[name.split("_")[1]], compartments)
+        for name in (
+            *("longitudinal_stiffness", "transverse_stiffness", "longitudinal_damping"),
+            *("transverse_damping", "longitudinal_mass", "transverse_mass", "plane_mass"),
+        )
+    } | {"plane_inertia": nominal.plane_inertia * random.uniform(0.0, 1.0, compartments)}
+
+
 BODIES = {
     "inertial": DRY,
     "seven compartments, heavy planes": DRY.replace(
@@ -36,6 +52,8 @@ BODIES = {
     "three compartments, undamped": DRY.replace(
         compartments=3, longitudinal_damping=0.0, transverse_damping=0.0
     ),
+    "each compartment its own": DRY.replace(**uneven(DRY.compartments)),
+    "nine compartments, each its own": DRY.replace(compartments=9, **uneven(9)),
 }
 
 

@@ -138,6 +138,70 @@ def test_training_gives_what_stable_baselines3_does(algorithm: Any, tmp_path: An
     np.testing.assert_allclose(policy.predict(seen)[0], expected, atol=2e-5)
 
 
+SMALL = {
+    "sac": {"learning_starts": 440, "batch_size": 16, "train_freq": 9, "buffer_size": 1_000},
+    "ppo": {"n_steps": 50, "batch_size": 100, "n_epochs": 1},
+}
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_a_killed_training_goes_on_as_if_nothing_had_been(
+    algorithm: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    from octoarm_agents.rl import reaching as training
+
+    class Killed(BaseException):
+        """Ends a training as a kill does: nothing else is written."""
+
+    doomed = False
+
+    def judge(policy: GoalPolicy) -> dict[str, float]:
+        if doomed and policy.training["steps"] > 1_500:
+            raise Killed
+        return evaluate_reaching(policy, goals)
+
+    warnings.simplefilter("ignore")  # Box's precision, in stable-baselines3's spaces
+    monkeypatch.setitem(training._ARMS, algorithm, 4)
+    given = training._SAC if algorithm == "sac" else training._PPO
+    changes = SMALL[algorithm] | {"policy_kwargs": {"net_arch": [8]}}
+    for name, value in changes.items():
+        monkeypatch.setitem(given, name, value)
+    goals = held_out_goals()[:3]
+    monkeypatch.setattr(training, "evaluate_reaching", judge)
+    # Killed before the third evaluation it goes on from the second, after 313 steps of each arm: in
+    # the middle of its episode of 100, when SAC's buffer is written over for the first time.
+    call: dict[str, Any] = {"steps": 2_500, "seed": 3, "evaluations": 4}
+    whole = training.train_reaching(algorithm, tmp_path / "whole", **call)
+    doomed = True
+    with pytest.raises(Killed):
+        training.train_reaching(algorithm, tmp_path / "killed", **call)
+    doomed = False
+    begun = json.loads((tmp_path / "killed" / "training.json").read_text())
+    assert not begun["finished"]
+    assert len(begun["curve"]) == 2
+    with pytest.raises(ValueError, match="holds a training: resume it"):
+        training.train_reaching(algorithm, tmp_path / "killed", **call)
+    with pytest.raises(ValueError, match="seed is 3 there and 4 here"):
+        training.train_reaching(algorithm, tmp_path / "killed", resume=True, **call | {"seed": 4})
+    resumed = training.train_reaching(algorithm, tmp_path / "killed", resume=True, **call)
+    assert resumed["finished"]
+    assert resumed["resumed"] == 1
+
+    def results(summary: dict[str, Any]) -> list[dict[str, float]]:
+        return [{key: each[key] for key in each if key != "seconds"} for each in summary["curve"]]
+
+    assert results(resumed) == results(whole)
+    one, other = (GoalPolicy.load(tmp_path / name / "policy.npz") for name in ("whole", "killed"))
+    for (weights, bias), (weights_too, bias_too) in zip(
+        one.network.layers, other.network.layers, strict=True
+    ):
+        np.testing.assert_array_equal(weights, weights_too)
+        np.testing.assert_array_equal(bias, bias_too)
+    # What has ended is not trained again.
+    assert training.train_reaching(algorithm, tmp_path / "killed", resume=True, **call) == resumed
+
+
 def test_commands(samples: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reaching, "sample_reachable", lambda *given: samples)
     runner = CliRunner()

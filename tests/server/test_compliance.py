@@ -77,6 +77,9 @@ class TestCreateDestroyWorld(_OnServer, compliance.CreateDestroyWorld):
         "num_envs": pack(0),
         "seed": pack(-1),
         "colour": pack("red"),
+        "task": pack("grasp"),
+        # Of another task.
+        "segments": pack(5),
     }
     has_multiple_world_support = True
 
@@ -105,6 +108,26 @@ class TestStep(_OnServer, compliance.Step):
 
 class TestStepOfABatch(TestStep):
     world_settings: ClassVar[dict[str, Any]] = {"num_envs": 3, "target": "lissajous"}
+
+
+class TestStepOfReaching(TestStep):
+    world_settings: ClassVar[dict[str, Any]] = {"task": "reach", "observe_rates": True}
+
+
+class TestStepOfABatchThatReaches(TestStep):
+    world_settings: ClassVar[dict[str, Any]] = {
+        "task": "reach",
+        "num_envs": 3,
+        "autoreset_mode": "same_step",
+    }
+
+
+class TestResetOfReaching(_OnServer, compliance.Reset):
+    world_settings: ClassVar[dict[str, Any]] = {"task": "reach"}
+
+
+class TestResetWorldOfReaching(_OnServer, compliance.ResetWorld):
+    world_settings: ClassVar[dict[str, Any]] = {"task": "reach"}
 
 
 class TestAdaptor:
@@ -190,11 +213,11 @@ class TestAdaptor:
 class TestDmEnvConformance(test_utils.EnvironmentTestMixin, absltest.TestCase):
     """`dm_env`'s own test of an environment, through the adaptor."""
 
+    world_settings: ClassVar[dict[str, Any]] = {"max_episode_steps": 15}
+
     @pytest.fixture(autouse=True)
     def _connect(self, stream: connection.Connection) -> None:
-        self._adaptor, _ = dm_env_adaptor.create_and_join_world(
-            stream, {"max_episode_steps": 15}, {}
-        )
+        self._adaptor, _ = dm_env_adaptor.create_and_join_world(stream, self.world_settings, {})
 
     def make_object_under_test(self) -> dm_env.Environment:
         return self._adaptor
@@ -202,6 +225,12 @@ class TestDmEnvConformance(test_utils.EnvironmentTestMixin, absltest.TestCase):
     def make_action_sequence(self) -> Iterator[Any]:
         for _ in range(40):
             yield self.make_action()
+
+
+class TestDmEnvConformanceOfReaching(TestDmEnvConformance):
+    """The same of an arm that reaches."""
+
+    world_settings: ClassVar[dict[str, Any]] = {"task": "reach", "max_episode_steps": 15}
 
 
 class TestProperties:

@@ -39,7 +39,7 @@ def rows(title: str) -> dict[str, list[str]]:
 class Joined:
     """A stream that has joined a world of its own."""
 
-    def __init__(self, channel: grpc.Channel, **settings: int) -> None:
+    def __init__(self, channel: grpc.Channel, **settings: int | str) -> None:
         stream = connection.Connection(channel)
         packed = {name: tensor_utils.pack_tensor(value) for name, value in settings.items()}
         name = stream.send(dm_env_rpc_pb2.CreateWorldRequest(settings=packed)).world_name
@@ -52,6 +52,14 @@ def worlds(server: ServerProcess) -> Iterator[tuple[Joined, Joined]]:
     """A single arm, and a batch of three."""
     with open_channel(server.address) as channel:
         yield Joined(channel), Joined(channel, num_envs=3)
+
+
+@pytest.fixture(scope="module")
+def reaching(server: ServerProcess) -> Iterator[tuple[Joined, Joined]]:
+    """The same with muscles."""
+    task = {"task": "reach", "observe_rates": True}
+    with open_channel(server.address) as channel:
+        yield Joined(channel, **task), Joined(channel, num_envs=3, **task)
 
 
 def shape_text(sizes: Iterable[int]) -> str:
@@ -116,25 +124,36 @@ def test_every_option_is_named() -> None:
         assert shown in {default, "processor's"}, option
 
 
-def test_every_setting_of_a_world_is_named(worlds: tuple[Joined, Joined]) -> None:
-    episode = json.loads(worlds[0].properties["settings"])
-    source = (ROOT / "rust/server/src/world_settings.rs").read_text(encoding="utf-8")
-    frame = re.search(r"const FRAME: .* = \[(.*)\];", source)
-    assert frame is not None
-    expected = (
-        set(episode) - {"vary"}
-        | {"arm.<name>", "vary.<name>"}
-        | set(re.findall(r'"(\w+)"', frame[1]))
-    )
-    table = rows("Settings of a world")
-    assert expected == {cells[0].strip("`") for cells in table.values()}
+def frame() -> set[str]:
+    """What is the world's beside the episode's own settings, as the server has it."""
+    source = (ROOT / "rust/server/src/task_settings.rs").read_text(encoding="utf-8")
+    found = re.search(r"const FRAME: .* = \[(.*)\];", source)
+    assert found is not None
+    return set(re.findall(r'"(\w+)"', found[1]))
+
+
+def check_settings(settings: str, title: str, *more: str) -> None:
+    """Find all settings of an episode, and those of a world, in a table, with their defaults."""
+    episode = json.loads(settings)
+    expected = set(episode) - {"vary"} | {"arm.<name>", "vary.<name>", *more} | frame()
+    table = rows(title)
+    assert expected == set(table)
     for name, value in episode.items():
         if isinstance(value, float):
             assert table[name][2] == f"{value:g}", name
 
 
-def test_every_observation_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> None:
-    table = rows("Actions and observations")
+def test_every_setting_of_a_world_is_named(worlds: tuple[Joined, Joined]) -> None:
+    check_settings(worlds[0].properties["settings"], "Settings of a world")
+
+
+def test_every_setting_of_reaching_is_named(reaching: tuple[Joined, Joined]) -> None:
+    check_settings(reaching[0].properties["settings"], "Settings of reaching", "goals")
+
+
+def check_observations(worlds: tuple[Joined, Joined], title: str) -> None:
+    """Find all observations, as the specs have them, in a table."""
+    table = rows(title)
     for world, column in zip(worlds, (3, 4), strict=True):
         specs = world.specs.observations
         assert {spec.name: str(uid) for uid, spec in specs.items()} == {
@@ -150,10 +169,20 @@ def test_every_observation_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> 
             assert cells[5] == ("" if texts == ["∞", "∞"] else ", ".join(texts)), spec.name
 
 
-def test_every_property_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> None:
-    table = rows("Properties")
+def test_every_observation_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> None:
+    check_observations(worlds, "Actions and observations")
+
+
+def test_every_observation_of_reaching_is_as_its_row_says(
+    reaching: tuple[Joined, Joined],
+) -> None:
+    check_observations(reaching, "Observations of reaching")
+
+
+def check_properties(worlds: tuple[Joined, Joined], table: dict[str, list[str]]) -> None:
+    """Find all properties, as the extension lists them, in a table."""
     single, batch = (world.properties.specs() for world in worlds)
-    assert set(batch) < set(single)
+    assert set(batch) <= set(single)
     assert set(table) == set(single)
     kinds = {"float64": "DOUBLE", "int64": "INT64", "uint64": "UINT64", "object": "STRING"}
     kinds |= {"bool": "BOOL", "uint8": "UINT8"}
@@ -164,6 +193,18 @@ def test_every_property_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> Non
         shape = shape_text(batch[key].spec.shape) if key in batch else "–"
         assert many.replace("N", "3") == shape, key
         assert ("read" in access, "write" in access) == (spec.readable, spec.writable), key
+
+
+def test_every_property_is_as_its_row_says(worlds: tuple[Joined, Joined]) -> None:
+    check_properties(worlds, rows("Properties"))
+
+
+def test_every_property_of_reaching_is_as_its_row_says(reaching: tuple[Joined, Joined]) -> None:
+    (section,) = re.findall(r"^### Properties of reaching\n(.*?)^\|", PAGE, re.S | re.M)
+    as_above = set(re.findall(r"`(\w+)`", section))
+    shared = {name: cells for name, cells in rows("Properties").items() if name in as_above}
+    assert set(shared) == as_above
+    check_properties(reaching, shared | rows("Properties of reaching"))
 
 
 def test_every_metric_is_named(server: ServerProcess) -> None:

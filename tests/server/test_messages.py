@@ -235,6 +235,13 @@ TEXTS = [
 
 
 NAMES = [
+    "task",
+    "goals",
+    "goal",
+    "segments",
+    "max_force",
+    "reward_type",
+    "observe_rates",
     "target",
     "amplitude",
     "control_period",

@@ -40,6 +40,11 @@ def make(server: ServerProcess) -> Iterator[Make]:
         env.close()
 
 
+UNEVEN = ArmParameters(
+    longitudinal_stiffness=np.linspace(220, 180, 20),
+    transverse_damping=[1.0, 0.9] * 10,
+    plane_mass=1e-4 * np.arange(20),
+)
 BODY = ArmParameters(compartments=7, area_scale=0.8, longitudinal_damping=1.5)
 SAMPLES = 15.0 * np.array([[np.sin(t), np.cos(3 * t)] for t in np.linspace(0, 6.28, 629)])
 
@@ -52,10 +57,11 @@ SAMPLES = 15.0 * np.array([[np.sin(t), np.cos(3 * t)] for t in np.linspace(0, 6.
         (500, {"target": "van_der_pol", "amplitude": 1 / 3, "actuator": "servo"}),
         (500, {"target": "lissajous", "arm": BODY, "control_period": 0.003}),
         (500, {"target": SAMPLES, "action_range": 17.3, "reward_width": 0.1}),
+        (200, {"target": "lissajous", "arm": UNEVEN}),
         (200, {"length_noise": 1e-5, "action_noise": 3.0, "delay": 3, "dropout": 5}),
         (30, {"vary": {"arm_density": (0.9, 1.1)}, "bodies": 3, "body_seed": 2**64 - 1}),
     ],
-    ids=["default", "long", "servo", "body", "samples", "disturbed", "bodies"],
+    ids=["default", "long", "servo", "body", "samples", "uneven", "disturbed", "bodies"],
 )
 def test_every_bit_is_the_local_one(make: Make, steps: int, arguments: dict[str, Any]) -> None:
     remote, local = make(**arguments), OctoArmEnv(**arguments)

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from clients import assert_same, nothing_left, step_request
+from clients import WithoutDisturbances, assert_same, nothing_left, step_request
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from octoarm_agents.common.serving import ServerProcess
@@ -56,7 +56,8 @@ def test_conformance(server: ServerProcess, mode: AutoresetMode, disturbed: dict
         "OctoArmRemote-v0", num_envs=3, address=server.address, autoreset_mode=mode, **options
     )
     try:
-        check_vector_env(envs, lambda: gym.make("OctoArm-v0", **options), steps=40)
+        made = lambda: WithoutDisturbances(gym.make("OctoArm-v0", **options))  # noqa: E731
+        check_vector_env(envs, made, steps=40)
     finally:
         envs.close()
 

@@ -99,8 +99,7 @@ def _change(
         "damping": ("longitudinal_damping", "transverse_damping"),
         "drag": ("area_scale",),
     }[quantity]
-    changes = {name: value * getattr(parameters, name) for name in fields}
-    return parameters.replace(**changes), settings
+    return parameters.scaled(**dict.fromkeys(fields, value)), settings
 
 
 def _survey_point(value: float, parameters: ArmParameters, settings: SurveySettings) -> SweepPoint:

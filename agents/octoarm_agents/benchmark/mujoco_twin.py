@@ -14,7 +14,8 @@ arm                    MuJoCo
 strut height h         slide joint of body ``plane_j`` along z of ``plane_{j-1}``
 universal joint α, β   two hinges of ``plane_j``, x then y, so R_j = R_{j-1} Rx(α) Ry(β)
 radius r_i             slide joint of body ``joint_j_i`` along +x, +y, -x, -y of ``plane_j``
-mass of joint B_ij     point mass ``longitudinal_mass + transverse_mass`` of body ``joint_j_i``
+mass of joint B_ij     point mass ``longitudinal_mass + transverse_mass`` of body ``joint_j_i``;
+                       of parameters with a number for each compartment, those of compartment j
 transverse spring      stiffness and damping of that slide joint
 longitudinal spring    spatial tendon ``spring_j_i`` from joint i of plane j-1 to joint i of plane j
 base rotation θ, φ     two hinges of ``plane_0``, x then y, so R_0 = Rx(θ) Ry(φ), with an armature
@@ -145,8 +146,10 @@ class MujocoTwin:
             ValueError: a shape is wrong or a number is not finite.
         """
         body, shape = self._parameters, (self._parameters.compartments, 4)
-        along = _checked(longitudinal, "longitudinal", shape) / body.longitudinal_stiffness
-        across = _checked(transverse, "transverse", shape) / body.transverse_stiffness
+        along = _checked(longitudinal, "longitudinal", shape) / _rows(
+            body, body.longitudinal_stiffness
+        )
+        across = _checked(transverse, "transverse", shape) / _rows(body, body.transverse_stiffness)
         self.model.tendon_lengthspring[:] = body.rest_length + along.ravel()[:, np.newaxis]
         self.model.qpos_spring[2:].reshape(-1, 7)[:, 3:] = across
 
@@ -182,10 +185,11 @@ class MujocoTwin:
         spin = np.einsum("bij,bi->bj", axes, angular)
         kinetic = 0.5 * np.sum(self.model.body_mass[:, np.newaxis] * velocity**2)
         kinetic += 0.5 * np.sum(self.model.body_inertia * spin**2)
-        strain = self._measure() - self._parameters.rest_length
+        body = self._parameters
+        strain = self._measure().reshape(-1, 4) - body.rest_length
         radial = self.data.qpos[2:].reshape(-1, 7)[:, 3:]
-        elastic = 0.5 * self._parameters.longitudinal_stiffness * np.sum(strain**2)
-        elastic += 0.5 * self._parameters.transverse_stiffness * np.sum(radial**2)
+        elastic = 0.5 * np.sum(_rows(body, body.longitudinal_stiffness) * strain**2)
+        elastic += 0.5 * np.sum(_rows(body, body.transverse_stiffness) * radial**2)
         return float(kinetic), float(elastic)
 
     # --------------------------------------------------------------- stepping
@@ -230,9 +234,10 @@ class MujocoTwin:
         mass, inertia = self.model.body_mass, self.model.body_inertia
         mass[:] = 0.0
         inertia[:] = 0.0
-        mass[joints] = parameters.longitudinal_mass + parameters.transverse_mass
+        joint_mass = np.add(parameters.longitudinal_mass, parameters.transverse_mass)
+        mass[joints] = np.broadcast_to(_rows(parameters, joint_mass), (count, 4)).ravel()
         mass[self._planes[1:]] = parameters.plane_mass
-        inertia[self._planes[1:]] = np.multiply(parameters.plane_inertia, (1.0, 1.0, 2.0))
+        inertia[self._planes[1:]] = _rows(parameters, parameters.plane_inertia) * (1.0, 1.0, 2.0)
         self._mujoco.mj_setConst(self.model, self.data)
         self._mujoco.mj_resetData(self.model, self.data)
 
@@ -259,6 +264,11 @@ def _checked(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Float:
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")
     return array
+
+
+def _rows(parameters: ArmParameters, value: ArrayLike) -> Float:
+    """A parameter of every compartment, shape (N, 1)."""
+    return np.broadcast_to(np.asarray(value, np.float64), parameters.compartments)[:, np.newaxis]
 
 
 def _rest_radii(parameters: ArmParameters) -> Float:
@@ -303,6 +313,15 @@ def _build_xml(parameters: ArmParameters, radii: Float, heights: Float) -> str:
         point = np.multiply(axis, radii[0])
         element(plane, "site", name=f"point_0_{i}", pos=_numbers(*point))
 
+    longitudinal_stiffness, longitudinal_damping, transverse_stiffness, transverse_damping = (
+        _rows(parameters, value).ravel()
+        for value in (
+            parameters.longitudinal_stiffness,
+            parameters.longitudinal_damping,
+            parameters.transverse_stiffness,
+            parameters.transverse_damping,
+        )
+    )
     tendons = element(root, "tendon")
     for j, height in enumerate(heights, 1):
         plane = _add_body(plane, f"plane_{j}", (0, 0, height))
@@ -316,16 +335,16 @@ def _build_xml(parameters: ArmParameters, radii: Float, heights: Float) -> str:
                 "joint",
                 type="slide",
                 axis=_numbers(*axis),
-                stiffness=_numbers(parameters.transverse_stiffness),
-                damping=_numbers(parameters.transverse_damping),
+                stiffness=_numbers(transverse_stiffness[j - 1]),
+                damping=_numbers(transverse_damping[j - 1]),
             )
             element(slider, "site", name=f"point_{j}_{i}")
             tendon = element(
                 tendons,
                 "spatial",
                 name=f"spring_{j}_{i}",
-                stiffness=_numbers(parameters.longitudinal_stiffness),
-                damping=_numbers(parameters.longitudinal_damping),
+                stiffness=_numbers(longitudinal_stiffness[j - 1]),
+                damping=_numbers(longitudinal_damping[j - 1]),
                 springlength=_numbers(parameters.rest_length),
             )
             element(tendon, "site", site=f"point_{j - 1}_{i}")

@@ -26,6 +26,8 @@ app = typer.Typer(
 )
 
 _OWN = "the algorithm's own"
+_EVALUATIONS = "Evaluations, at equal intervals, each with a checkpoint."
+_RESUME = "Go on from the folder's checkpoint where there is one."
 PolicyArgument = Annotated[
     str, typer.Argument(help="still, random, wave, nearest; sac, which comes along; or policy.npz.")
 ]
@@ -71,12 +73,17 @@ def train(
     out: Annotated[
         Path | None, typer.Option(help="Folder.", show_default="out/reach/ALGORITHM-SEED")
     ] = None,
-    evaluations: Annotated[int, number("Evaluations, at equal intervals.", 1, 1000)] = 10,
+    evaluations: Annotated[int, number(_EVALUATIONS, 1, 1000)] = 10,
+    resume: Annotated[bool, typer.Option("--resume", help=_RESUME)] = False,
 ) -> None:
     """Train an agent to reach, on four fifths of the goals; it is judged on the others.
 
     policy.npz and training.json are written anew at every evaluation. The policy acts without
     PyTorch: octoarm reach evaluate out/reach/sac-0/policy.npz.
+
+    The same call with --resume goes on where an interrupted training was last evaluated, and
+    computes what it would have computed. The checkpoint holds all that this needs, of sac the
+    replay buffer with its episodes too: 150 MB after 100,000 steps.
     """
     with need_extra("rl"):
         from octoarm_agents.rl.reaching import STEPS, train_reaching
@@ -90,7 +97,13 @@ def train(
                 bar.set_postfix_str(f"{success:.0%} reach")
 
         summary = train_reaching(
-            algorithm, folder, steps=steps, seed=seed, evaluations=evaluations, progress=progress
+            algorithm,
+            folder,
+            steps=steps,
+            seed=seed,
+            evaluations=evaluations,
+            resume=resume,
+            progress=progress,
         )
     last = summary["curve"][-1]
     typer.echo(

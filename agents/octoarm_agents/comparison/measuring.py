@@ -67,11 +67,11 @@ class TestPlan:
 
 def changed_body(body: ArmParameters, stiffness: float, damping: float) -> ArmParameters:
     """Give a body whose stiffnesses and dampings are multiplied by a factor each."""
-    return body.replace(
-        longitudinal_stiffness=stiffness * body.longitudinal_stiffness,
-        transverse_stiffness=stiffness * body.transverse_stiffness,
-        longitudinal_damping=damping * body.longitudinal_damping,
-        transverse_damping=damping * body.transverse_damping,
+    return body.scaled(
+        longitudinal_stiffness=stiffness,
+        transverse_stiffness=stiffness,
+        longitudinal_damping=damping,
+        transverse_damping=damping,
     )
 
 

@@ -23,8 +23,15 @@ from octoarm_agents.policies.reaching import (
     evaluate_reaching,
     train_goals,
 )
+from octoarm_agents.rl.checkpoint import (
+    read_checkpoint,
+    restore_training,
+    training_state,
+    write_checkpoint,
+)
 from octoarm_agents.rl.export import layers_of
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv
+from octoarm_agents.rl.task import check_same, finished_summary, open_folder
 from octoarm_env.reach import OctoArmReachVectorEnv
 
 Algorithm = Literal["sac", "ppo"]
@@ -63,44 +70,79 @@ def train_reaching(
     steps: int | None = None,
     seed: int = 0,
     evaluations: int = 10,
+    resume: bool = False,
     progress: Callable[[int, float], Any] | None = None,
 ) -> dict[str, Any]:
     """Train an agent to reach; one thread computes, so that a seed gives the same curve.
 
     SAC learns from the sparse reward with hindsight experience replay, PPO from the dense one.
     Both see `train_goals` alone; they are judged on `held_out_goals`, the last policy counts.
+    Killed at any moment, the training goes on from the checkpoint of its last evaluation, and what
+    it then computes is what it would have computed.
 
     Args:
         algorithm: ``"sac"`` or ``"ppo"``.
-        out: folder for ``policy.npz`` and ``training.json``, both written anew at every evaluation.
+        out: folder for ``policy.npz``, ``training.json`` and ``checkpoint.zip``, all written
+            anew at every evaluation, each whole or not at all. The checkpoint holds the replay
+            buffer of SAC too: 1.5 kB a step, of the last 300,000.
         steps: of all environments together; None: those of `STEPS`.
         seed: of everything random.
         evaluations: at equal intervals.
+        resume: go on with the training in `out` from its checkpoint; begin it if it has none. One
+            that is finished is not trained again.
         progress: called with the steps done and the last success.
 
     Returns:
         What ``training.json`` holds.
+
+    Raises:
+        ValueError: a folder that holds another training, or this one without `resume`; a checkpoint
+            that is damaged.
+        OSError: the folder cannot be written to.
     """
     total = STEPS[algorithm] if steps is None else steps
+    wanted = {
+        "algorithm": algorithm,
+        "steps": total,
+        "seed": seed,
+        "evaluations": evaluations,
+        "envs": _ARMS[algorithm],
+        "hyperparameters": _hyperparameters(algorithm),
+    }
+    checkpoint = open_folder(out, "sb3", resume)
+    saved = None
+    if checkpoint.exists():
+        saved = read_checkpoint(checkpoint)
+        check_same(checkpoint, saved["training"], wanted)
+        finished = finished_summary(out, saved, total)
+        if finished is not None:
+            return finished
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        return _train(algorithm, out, total, seed, evaluations, progress)
+        return _train(wanted, out, checkpoint, saved, progress)
     finally:
         torch.set_num_threads(threads)
 
 
+def _hyperparameters(algorithm: Algorithm) -> dict[str, Any]:
+    """Those of an algorithm as they read in JSON."""
+    given = _SAC if algorithm == "sac" else _PPO
+    return {name: getattr(value, "__name__", value) for name, value in given.items()}
+
+
 def _train(
-    algorithm: Algorithm,
+    wanted: dict[str, Any],
     out: Path,
-    total: int,
-    seed: int,
-    evaluations: int,
+    checkpoint: Path,
+    saved: dict[str, Any] | None,
     progress: Callable[[int, float], Any] | None,
 ) -> dict[str, Any]:
+    algorithm, seed = wanted["algorithm"], wanted["seed"]
+    total, evaluations = wanted["steps"], wanted["evaluations"]
     sparse = algorithm == "sac"
     arms = OctoArmReachVectorEnv(
-        _ARMS[algorithm],
+        wanted["envs"],
         "sparse" if sparse else "dense",
         goals=train_goals(),
         autoreset_mode=AutoresetMode.SAME_STEP,
@@ -109,14 +151,19 @@ def _train(
     settings = arms.settings
     seen = Sb3VecEnv(arms if sparse else RescaleAction(arms, -1.0, 1.0))
     seen.seed(seed)
-    gamma = (_SAC if sparse else _PPO)["gamma"]
-    envs = VecNormalize(VecMonitor(seen), norm_reward=not sparse, gamma=gamma)
+    monitor = VecMonitor(seen)
     kind: Any = SAC if sparse else PPO
-    model = kind("MultiInputPolicy", envs, seed=seed, device="cpu", **(_SAC if sparse else _PPO))
     curve: list[dict[str, float]] = []
-    learning = 0.0
+    learning, resumed = 0.0, 0
+    if saved is not None:
+        curve, learning, resumed = saved["curve"], saved["seconds"], saved["resumed"] + 1
+        model, envs = restore_training(saved, kind, monitor, monitor, arms)
+    else:
+        given = _SAC if sparse else _PPO
+        envs = VecNormalize(monitor, norm_reward=not sparse, gamma=given["gamma"])
+        model = kind("MultiInputPolicy", envs, seed=seed, device="cpu", **given)
     summary: dict[str, Any] = {}
-    for number in range(1, evaluations + 1):
+    for number in range(len(curve) + 1, evaluations + 1):
         begun = time.perf_counter()
         left = total * number // evaluations - model.num_timesteps
         if left > 0:
@@ -130,20 +177,21 @@ def _train(
         policy.save(out / "policy.npz")
         summary = {
             **training,
-            "envs": _ARMS[algorithm],
-            "hyperparameters": {
-                name: getattr(value, "__name__", value)
-                for name, value in (_SAC if sparse else _PPO).items()
-            },
+            "envs": wanted["envs"],
+            "hyperparameters": wanted["hyperparameters"],
             "parameters": policy.network.parameter_count,
             "curve": curve,
             "finished": number == evaluations,
+            "resumed": resumed,
             "versions": package_versions(
                 "octoarm-env", "octoarm-agents", "stable-baselines3", "torch", "numpy"
             ),
             "machine": describe_machine(),
         }
         write_json(out / "training.json", summary)
+        state = {"training": wanted, "curve": curve, "seconds": learning, "resumed": resumed}
+        state |= training_state(model, envs, monitor, arms)
+        write_checkpoint(checkpoint, model, state)
         if progress is not None:
             progress(int(model.num_timesteps), judged["success"])
     return summary

@@ -112,6 +112,18 @@ def open_folder(out: Path, engine: str, resume: bool) -> Path:
     return checkpoint
 
 
+def finished_summary(out: Path, saved: dict[str, Any], steps: int) -> dict[str, Any] | None:
+    """What a training that has ended left; None if it has not made so many steps."""
+    curve = saved["curve"]
+    if not curve or curve[-1]["steps"] < steps:
+        return None
+    try:
+        summary: dict[str, Any] = json.loads((out / "training.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return summary
+
+
 def check_same(
     file: Path, saved: dict[str, Any], wanted: dict[str, Any], extended: bool = False
 ) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import random
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,12 +15,23 @@ from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNorma
 
 from octoarm_agents.common.files import write_atomically
 from octoarm_agents.policies.policy import Policy
-from octoarm_agents.rl.checkpoint import read_checkpoint, write_checkpoint
+from octoarm_agents.rl.checkpoint import (
+    read_checkpoint,
+    restore_training,
+    training_state,
+    write_checkpoint,
+)
 from octoarm_agents.rl.export import export_network
 from octoarm_agents.rl.hyperparameters import Hyperparameters, algorithm_class
 from octoarm_agents.rl.judging import Judge, Progress
 from octoarm_agents.rl.sb3_vec_env import make_sb3_vec_env
-from octoarm_agents.rl.task import CHECKPOINTS, Training, check_same, open_folder
+from octoarm_agents.rl.task import (
+    CHECKPOINTS,
+    Training,
+    check_same,
+    finished_summary,
+    open_folder,
+)
 
 _PACKAGES = ("stable-baselines3", "sb3-contrib", "torch")
 """Their versions are written down too."""
@@ -78,7 +87,7 @@ def train(
         saved = read_checkpoint(checkpoint)
         extended = extend and saved["training"].get("steps", training.steps) < training.steps
         check_same(checkpoint, saved["training"], training.plain(), extended)
-        finished = _finished(out, saved, training.steps)
+        finished = finished_summary(out, saved, training.steps)
         if finished is not None:
             return finished
         if extended:
@@ -182,23 +191,14 @@ class _Run(BaseCallback):
 
     def checkpoint(self) -> None:
         """Save all that the rest of the training depends on."""
-        self.model.policy.set_training_mode(False)
+        arms = self.arms.vector_env.unwrapped
         state = {
             "training": self.training.plain(),
             "curve": self.judge.curve,
             "seconds": self.judge.seconds,
             "resumed": self.resumed,
             "extended": self.judge.extended,
-            "normalization": self.envs,
-            "normalized_returns": self.envs.returns,
-            "episode_returns": self.monitor.episode_returns,
-            "episode_lengths": self.monitor.episode_lengths,
-            "memory": getattr(self.model, "_last_lstm_states", None),
-            "arms": self.arms.vector_env.unwrapped.snapshot(),
-            "python_random": random.getstate(),
-            "numpy_random": np.random.get_state(),  # noqa: NPY002, stable-baselines3 draws here
-            "torch_random": torch.get_rng_state(),
-            "action_random": self.model.action_space.np_random.bit_generator.state,
+            **training_state(self.model, self.envs, self.monitor, arms),
         }
         write_checkpoint(self.out / CHECKPOINTS["sb3"], self.model, state)
 
@@ -206,21 +206,8 @@ class _Run(BaseCallback):
         judge = self.judge
         judge.curve, judge.seconds = saved["curve"], saved["seconds"]
         self.resumed, judge.extended = saved["resumed"] + 1, saved.get("extended", [])
-        # The arms must have begun before they can go on.
-        self.monitor.reset()
-        self.envs = saved["normalization"]
-        self.envs.set_venv(self.seen)
-        self.model = saved["load"](kind, self.envs)
-        self.arms.vector_env.unwrapped.restore(saved["arms"])
-        self.envs.returns = saved["normalized_returns"]
-        self.monitor.episode_returns = saved["episode_returns"]
-        self.monitor.episode_lengths = saved["episode_lengths"]
-        if saved["memory"] is not None:
-            self.model._last_lstm_states = saved["memory"]
-        random.setstate(saved["python_random"])
-        np.random.set_state(saved["numpy_random"])  # noqa: NPY002
-        torch.set_rng_state(saved["torch_random"])
-        self.model.action_space.np_random.bit_generator.state = saved["action_random"]
+        arms = self.arms.vector_env.unwrapped
+        self.model, self.envs = restore_training(saved, kind, self.seen, self.monitor, arms)
 
 
 def _extend(saved: dict[str, Any], training: Training) -> None:
@@ -236,15 +223,3 @@ def _extend(saved: dict[str, Any], training: Training) -> None:
             f" a training of {training.steps:,} steps from the beginning",
             stacklevel=3,
         )
-
-
-def _finished(out: Path, saved: dict[str, Any], steps: int) -> dict[str, Any] | None:
-    """What a training that has ended left; None if it has not made so many steps."""
-    curve = saved["curve"]
-    if not curve or curve[-1]["steps"] < steps:
-        return None
-    try:
-        summary: dict[str, Any] = json.loads((out / "training.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return summary

@@ -6,7 +6,7 @@
 //! use octoarm_arm::{Actuator, Arm, ArmLanes, ArmParameters};
 //!
 //! // The paper's body with stiffer longitudinal springs, at rest.
-//! let parameters = ArmParameters { longitudinal_stiffness: 220.0, ..ArmParameters::nakajima2013() };
+//! let parameters = ArmParameters { longitudinal_stiffness: 220.0.into(), ..ArmParameters::nakajima2013() };
 //! let mut arm = Arm::new(parameters, Actuator::Direct)?;
 //!
 //! // A tenth of a second in which the base turns to θ = 5°, and the 80 spring lengths on the way.
@@ -44,6 +44,7 @@ mod linearise;
 pub mod memory;
 mod multiply_add;
 mod parameters;
+mod per_compartment;
 mod posture;
 mod readout;
 mod runge_kutta;
@@ -62,6 +63,7 @@ pub use json::{read_fields, read_json};
 pub use linearise::Linearisation;
 pub use nalgebra::DMatrix as Matrix;
 pub use parameters::{ArmParameters, BaseCoupling, ReferenceArea, VolumeForce};
+pub use per_compartment::PerCompartment;
 pub use posture::Energy;
 pub use readout::LinearReadout;
 pub use state::{ArmState, COORDINATES, MuscleRow};

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::ParameterError;
 use crate::interval::Interval;
 use crate::json::read_json;
+use crate::per_compartment::PerCompartment;
 
 /// Which area Eqs. 12–13 multiply (the paper's `A_r`), before `area_scale`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,6 +41,11 @@ pub enum BaseCoupling {
 
 /// Every parameter of the body, in SI units. Defaults are Table 1 of the paper with the readings
 /// documented for each field; all are validated by [`ArmParameters::validate`].
+///
+/// A [`PerCompartment`] is one number for the whole arm, or a list of values from base to tip with one
+/// for each compartment, which must be as many as `compartments`. Entry `j` is of the compartment `j`,
+/// counted from 0: of its four longitudinal springs, and of the plane that is its ceiling with its four
+/// transverse springs and joints. The base plane has no springs and no mass.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
@@ -57,21 +63,21 @@ pub struct ArmParameters {
     pub tip_radius: f64,
     /// Mass `M_l` of a longitudinal spring \[kg\], in (0, 100\]; by default 1.25e-3 (Table 1). The
     /// part `longitudinal_mass_share` of it moves with its upper joint.
-    pub longitudinal_mass: f64,
+    pub longitudinal_mass: PerCompartment,
     /// Mass `M_r` of a transverse spring, lumped at the same joint \[kg\], in \[0, 100\]; by
     /// default 1.25e-3 (Table 1).
-    pub transverse_mass: f64,
+    pub transverse_mass: PerCompartment,
     /// Part of `longitudinal_mass` that moves with the joint, from 1/3 (a rod that turns about its
     /// foot, Eq. 2) to 1 (all of it at the joint, Eqs. 1 and 3); by default 0.64 (docs/body.md).
     pub longitudinal_mass_share: f64,
     /// Damping `C_l` of a longitudinal spring \[N s/m\], in \[0, 1e6\]; by default 1 (Table 1).
-    pub longitudinal_damping: f64,
+    pub longitudinal_damping: PerCompartment,
     /// Damping `C_r` of a transverse spring \[N s/m\], in \[0, 1e6\]; by default 1 (Table 1).
-    pub transverse_damping: f64,
+    pub transverse_damping: PerCompartment,
     /// Stiffness `K_l` of a longitudinal spring \[N/m\], in (0, 1e9\]; by default 196 (Table 1).
-    pub longitudinal_stiffness: f64,
+    pub longitudinal_stiffness: PerCompartment,
     /// Stiffness `K_r` of a transverse spring \[N/m\], in (0, 1e9\]; by default 1570 (Table 1).
-    pub transverse_stiffness: f64,
+    pub transverse_stiffness: PerCompartment,
     /// Gain `K_lv` of the isovolumetric force on longitudinal springs, Eq. 7 \[1/m³\], in \[0,
     /// 1e12\]; by default 1e6 (Table 1).
     pub longitudinal_volume_gain: f64,
@@ -105,10 +111,10 @@ pub struct ArmParameters {
     pub lift_scale: f64,
     /// Mass `M_ce` of a plane at its centre, beside its four joint masses \[kg\], in \[0, 100\]; by
     /// default 0.
-    pub plane_mass: f64,
+    pub plane_mass: PerCompartment,
     /// Moment of inertia `I_ce` of a plane about its x and y axes, of which it has twice as much
     /// about z \[kg m²\], in \[0, 100\]; by default 0.
-    pub plane_inertia: f64,
+    pub plane_inertia: PerCompartment,
     /// Number of compartments, from 1 to [`ArmParameters::MAX_COMPARTMENTS`]; by default 20 (Table
     /// 1).
     pub compartments: usize,
@@ -155,13 +161,13 @@ impl ArmParameters {
             rest_length: 0.02,
             base_radius: 0.015,
             tip_radius: 0.0067,
-            longitudinal_mass: 1.25e-3,
-            transverse_mass: 1.25e-3,
+            longitudinal_mass: PerCompartment::Same(1.25e-3),
+            transverse_mass: PerCompartment::Same(1.25e-3),
             longitudinal_mass_share: 0.64,
-            longitudinal_damping: 1.0,
-            transverse_damping: 1.0,
-            longitudinal_stiffness: 196.0,
-            transverse_stiffness: 1570.0,
+            longitudinal_damping: PerCompartment::Same(1.0),
+            transverse_damping: PerCompartment::Same(1.0),
+            longitudinal_stiffness: PerCompartment::Same(196.0),
+            transverse_stiffness: PerCompartment::Same(1570.0),
             longitudinal_volume_gain: 1e6,
             transverse_volume_gain: 1e6,
             water_density: 1000.0,
@@ -173,8 +179,8 @@ impl ArmParameters {
             drag_coefficients: [-5.5e-9, 6.3e-7, -7.7e-6, 0.0015, 0.017],
             lift_coefficients: [1.8e-9, -5.9e-7, 2.8e-5, 0.0011, 0.00089],
             lift_scale: 1.0,
-            plane_mass: 0.0,
-            plane_inertia: 0.0,
+            plane_mass: PerCompartment::Same(0.0),
+            plane_inertia: PerCompartment::Same(0.0),
             compartments: 20,
             timestep: 1e-3,
             servo_frequency: 12.0,
@@ -202,30 +208,29 @@ impl ArmParameters {
     /// outside it (a NaN is outside every range).
     pub fn validate(&self) -> Result<(), ParameterError> {
         let (above, closed) = (Interval::above, Interval::closed);
-        let scalars: [(&str, f64, Interval); 20] = [
+        let scalars: [(&str, f64, Interval); 12] = [
             ("rest_length", self.rest_length, above(0.0, 10.0)),
             ("base_radius", self.base_radius, above(0.0, 10.0)),
             ("tip_radius", self.tip_radius, above(0.0, 10.0)),
-            ("longitudinal_mass", self.longitudinal_mass, above(0.0, 100.0)),
-            ("transverse_mass", self.transverse_mass, closed(0.0, 100.0)),
             ("longitudinal_mass_share", self.longitudinal_mass_share, closed(1.0 / 3.0, 1.0)),
-            ("longitudinal_damping", self.longitudinal_damping, closed(0.0, 1e6)),
-            ("transverse_damping", self.transverse_damping, closed(0.0, 1e6)),
-            ("longitudinal_stiffness", self.longitudinal_stiffness, above(0.0, 1e9)),
-            ("transverse_stiffness", self.transverse_stiffness, above(0.0, 1e9)),
             ("longitudinal_volume_gain", self.longitudinal_volume_gain, closed(0.0, 1e12)),
             ("transverse_volume_gain", self.transverse_volume_gain, closed(0.0, 1e12)),
             ("water_density", self.water_density, closed(0.0, 1e5)),
             ("arm_density", self.arm_density, closed(0.0, 1e5)),
             ("area_scale", self.area_scale, closed(0.0, 1e4)),
             ("lift_scale", self.lift_scale, closed(-1e4, 1e4)),
-            ("plane_mass", self.plane_mass, closed(0.0, 100.0)),
-            ("plane_inertia", self.plane_inertia, closed(0.0, 100.0)),
             ("timestep", self.timestep, above(0.0, 0.1)),
             ("servo_frequency", self.servo_frequency, above(0.0, 1e4)),
         ];
         for (name, value, range) in scalars {
             range.check(value, || name.to_owned())?;
+        }
+        if !(1..=Self::MAX_COMPARTMENTS).contains(&self.compartments) {
+            let range = format!("[1, {}]", Self::MAX_COMPARTMENTS);
+            return Err(ParameterError::out_of_range("compartments", self.compartments, range));
+        }
+        for (name, values, range) in self.per_compartment() {
+            values.check(name, self.compartments, range)?;
         }
         for (name, values) in [
             ("gravity", &self.gravity[..]),
@@ -235,10 +240,6 @@ impl ArmParameters {
             for (index, value) in values.iter().enumerate() {
                 Interval::within(1e3).check(*value, || format!("{name}[{index}]"))?;
             }
-        }
-        if !(1..=Self::MAX_COMPARTMENTS).contains(&self.compartments) {
-            let range = format!("[1, {}]", Self::MAX_COMPARTMENTS);
-            return Err(ParameterError::out_of_range("compartments", self.compartments, range));
         }
         let step = self.radius_step().abs();
         if step >= self.rest_length {
@@ -332,10 +333,28 @@ impl ArmParameters {
         )
     }
 
-    /// Mass that moves with a joint, `M_r` and the share of `M_l` \[kg\].
+    /// Mass that moves with each joint of a compartment's ceiling (compartments are counted from 0),
+    /// `M_r` and the share of `M_l` \[kg\].
     #[must_use]
-    pub fn joint_mass(&self) -> f64 {
-        self.longitudinal_mass_share * self.longitudinal_mass + self.transverse_mass
+    pub fn joint_mass(&self, compartment: usize) -> f64 {
+        self.longitudinal_mass_share * self.longitudinal_mass.at(compartment)
+            + self.transverse_mass.at(compartment)
+    }
+
+    /// The parameters that may differ from compartment to compartment: name, value and range.
+    #[must_use]
+    pub fn per_compartment(&self) -> [(&'static str, &PerCompartment, Interval); 8] {
+        let (above, closed) = (Interval::above, Interval::closed);
+        [
+            ("longitudinal_mass", &self.longitudinal_mass, above(0.0, 100.0)),
+            ("transverse_mass", &self.transverse_mass, closed(0.0, 100.0)),
+            ("longitudinal_damping", &self.longitudinal_damping, closed(0.0, 1e6)),
+            ("transverse_damping", &self.transverse_damping, closed(0.0, 1e6)),
+            ("longitudinal_stiffness", &self.longitudinal_stiffness, above(0.0, 1e9)),
+            ("transverse_stiffness", &self.transverse_stiffness, above(0.0, 1e9)),
+            ("plane_mass", &self.plane_mass, closed(0.0, 100.0)),
+            ("plane_inertia", &self.plane_inertia, closed(0.0, 100.0)),
+        ]
     }
 }
 
@@ -362,7 +381,7 @@ mod tests {
 
     #[test]
     fn errors_name_the_parameter_the_value_and_the_range() {
-        let parameters = ArmParameters { longitudinal_mass: -1.0, ..Default::default() };
+        let parameters = ArmParameters { longitudinal_mass: (-1.0).into(), ..Default::default() };
         let message = parameters.validate().expect_err("negative mass").to_string();
         assert_eq!(message, "longitudinal_mass = -1 is outside the allowed range (0, 100]");
         for bad in [f64::NAN, f64::INFINITY] {

@@ -120,23 +120,23 @@ impl ArmState {
 #[must_use]
 pub(crate) fn energy(parameters: &ArmParameters, state: &ArmState, lengths: &[f64]) -> Energy {
     let directions = strut_directions();
-    let mass = parameters.joint_mass();
-    let inertia = parameters.plane_inertia;
     let mut kinetic = 0.0;
     let mut elastic = 0.0;
     for (j, pose) in poses(parameters.base_coupling, state).iter().enumerate().skip(1) {
         let (q, u) = (&state.coordinates[j - 1], &state.rates[j - 1]);
+        let mass = parameters.joint_mass(j - 1);
+        let inertia = parameters.plane_inertia.at(j - 1);
         for (i, direction) in directions.iter().enumerate() {
             let out = pose.frame * direction;
             let velocity = pose.velocity + pose.omega.cross(&out) * q[3 + i] + out * u[3 + i];
             kinetic += 0.5 * mass * velocity.norm_squared();
             let widening = q[3 + i] - parameters.rest_radius(j);
             let stretch = lengths[4 * (j - 1) + i] - parameters.rest_length;
-            elastic += 0.5 * parameters.transverse_stiffness * widening * widening
-                + 0.5 * parameters.longitudinal_stiffness * stretch * stretch;
+            elastic += 0.5 * parameters.transverse_stiffness.at(j - 1) * widening * widening
+                + 0.5 * parameters.longitudinal_stiffness.at(j - 1) * stretch * stretch;
         }
         let spin = pose.frame.transpose() * pose.omega;
-        kinetic += 0.5 * parameters.plane_mass * pose.velocity.norm_squared()
+        kinetic += 0.5 * parameters.plane_mass.at(j - 1) * pose.velocity.norm_squared()
             + 0.5 * inertia * (spin.x * spin.x + spin.y * spin.y + 2.0 * spin.z * spin.z);
     }
     Energy { kinetic, elastic }

@@ -103,12 +103,7 @@ impl<const L: usize> Integrator<L> {
         let mut base = Block::ZERO;
         base.0[3..].fill(row(|arm| arm.base_radius));
         let mut integrator = Self {
-            body: Body {
-                compartments: n,
-                base: Box::new(base),
-                material: Box::new(Material::new(arms)),
-                rest,
-            },
+            body: Body::new(arms, base, rest, compartment),
             bounds: Box::new(Bounds::new(arms)),
             shares: Box::new(Shares {
                 full: row(|arm| arm.timestep),
@@ -157,8 +152,8 @@ impl<const L: usize> Integrator<L> {
     pub(crate) fn bytes(compartments: usize) -> usize {
         let chunks = (compartments * L).div_ceil(WIDTH);
         let state = 3 * 2 * size_of::<Block>() + 2 * size_of::<Lengths>() + size_of::<Muscles>();
-        let once = size_of::<Block>() + size_of::<Material>() + size_of::<Bounds>();
-        let sum = chunks * (state + size_of::<Rest>())
+        let once = size_of::<Block>() + size_of::<Bounds>();
+        let sum = chunks * (state + size_of::<Material>() + size_of::<Rest>())
             + once
             + size_of::<Shares>()
             + Workspace::bytes::<L>(chunks);

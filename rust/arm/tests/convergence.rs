@@ -31,7 +31,8 @@ fn distance(one: &[f64], two: &[f64]) -> f64 {
 fn the_order_is_four() {
     // Without water: drag and lift are not smooth where a velocity passes through zero.
     let dry = ArmParameters { water_density: 0.0, arm_density: 110.0, ..ArmParameters::default() };
-    let heavy = ArmParameters { plane_mass: 0.01, plane_inertia: 1e-6, ..dry.clone() };
+    let heavy =
+        ArmParameters { plane_mass: 0.01.into(), plane_inertia: 1e-6.into(), ..dry.clone() };
     let carried = ArmParameters { base_coupling: BaseCoupling::Inertial, ..dry.clone() };
     for (name, parameters, scale) in [
         ("from rest", &carried, 0.0),

@@ -163,8 +163,8 @@ fn every_instruction_set_gives_the_same_bits() {
             let parameters = ArmParameters {
                 compartments,
                 volume_force: VolumeForce::Total,
-                plane_mass: 0.01,
-                plane_inertia: 1e-6,
+                plane_mass: 0.01.into(),
+                plane_inertia: 1e-6.into(),
                 ..ArmParameters::default()
             };
             let arm = Arm::undeformed(parameters, actuator).unwrap();
@@ -232,8 +232,8 @@ fn the_bits_of_this_version() {
             reference_area: ReferenceArea::Wetted,
             volume_force: VolumeForce::Applied,
             lift_scale: 1.0,
-            plane_mass: 0.0,
-            plane_inertia: 0.0,
+            plane_mass: 0.0.into(),
+            plane_inertia: 0.0.into(),
             compartments: 20,
             timestep: 1e-3,
             servo_frequency: 12.0,

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{arm_in, random_state};
+use common::{arm_in, random_state, uneven};
 use octoarm_arm::{Actuator, Arm, ArmParameters};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -25,8 +25,8 @@ fn total_energy(arm: &Arm) -> f64 {
 /// silent in a passive, weightless arm.
 fn conservative() -> ArmParameters {
     ArmParameters {
-        longitudinal_damping: 0.0,
-        transverse_damping: 0.0,
+        longitudinal_damping: 0.0.into(),
+        transverse_damping: 0.0.into(),
         water_density: 0.0,
         gravity: [0.0; 3],
         ..ArmParameters::default()
@@ -37,10 +37,18 @@ fn conservative() -> ArmParameters {
 fn energy_drift_without_losses_falls_with_the_fifth_power_of_the_step() {
     const DURATION: f64 = 0.2;
     let with_mass_in_the_planes =
-        ArmParameters { plane_mass: 0.01, plane_inertia: 1e-6, ..conservative() };
-    for (body, seed, scale) in
-        [(conservative(), 0, 1.0), (conservative(), 1, 0.3), (with_mass_in_the_planes, 2, 1.0)]
-    {
+        ArmParameters { plane_mass: 0.01.into(), plane_inertia: 1e-6.into(), ..conservative() };
+    let uneven_body = ArmParameters {
+        longitudinal_damping: 0.0.into(),
+        transverse_damping: 0.0.into(),
+        ..uneven(&conservative(), 6)
+    };
+    for (body, seed, scale) in [
+        (conservative(), 0, 1.0),
+        (conservative(), 1, 0.3),
+        (with_mass_in_the_planes, 2, 1.0),
+        (uneven_body, 3, 1.0),
+    ] {
         let drifts: Vec<f64> = [4000_u32, 8000, 16_000, 32_000]
             .into_iter()
             .map(|rate| {
@@ -90,8 +98,8 @@ proptest! {
             ArmParameters {
                 arm_density: 1000.0,
                 water_density: 1000.0,
-                longitudinal_damping: damping,
-                transverse_damping: damping,
+                longitudinal_damping: damping.into(),
+                transverse_damping: damping.into(),
                 longitudinal_volume_gain: 0.0,
                 transverse_volume_gain: 0.0,
                 lift_scale,

@@ -4,7 +4,7 @@
 mod common;
 mod reference;
 
-use common::{arm_in, random_state};
+use common::{arm_in, random_state, uneven};
 use octoarm_arm::{Actuator, ArmParameters, BaseCoupling, BaseMotion, ReferenceArea, VolumeForce};
 use reference::{BaseSample, Reference};
 
@@ -33,8 +33,8 @@ fn bodies() -> Vec<ArmParameters> {
             gravity: [3.0, -2.0, 8.0],
             reference_area: ReferenceArea::Planform,
             area_scale: 30.0,
-            plane_mass: 0.01,
-            plane_inertia: 1e-6,
+            plane_mass: 0.01.into(),
+            plane_inertia: 1e-6.into(),
             compartments: 7,
             ..plain.clone()
         },
@@ -44,6 +44,9 @@ fn bodies() -> Vec<ArmParameters> {
         ArmParameters { longitudinal_mass_share: 0.5, ..plain },
         ArmParameters::preset("nakajima2013").unwrap(),
         ArmParameters::preset("inertial").unwrap(),
+        uneven(&ArmParameters::default(), 1),
+        uneven(&ArmParameters { volume_force: VolumeForce::Total, ..ArmParameters::inertial() }, 2),
+        uneven(&ArmParameters { compartments: 7, ..ArmParameters::inertial() }, 3),
     ]
 }
 
@@ -146,10 +149,14 @@ fn energies_and_positions_agree() {
         energies_and_positions_agree_for(&ArmParameters {
             base_coupling,
             longitudinal_mass_share: 0.6,
-            plane_mass: 0.01,
-            plane_inertia: 1e-6,
+            plane_mass: 0.01.into(),
+            plane_inertia: 1e-6.into(),
             ..Default::default()
         });
+        energies_and_positions_agree_for(&uneven(
+            &ArmParameters { base_coupling, ..Default::default() },
+            4,
+        ));
     }
 }
 

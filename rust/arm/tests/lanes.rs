@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{arm_bits, congruential, state_bits};
+use common::{arm_bits, congruential, state_bits, uneven};
 use octoarm_arm::{
     Actuator, Arm, ArmLanes, ArmParameters, BaseCoupling, InstructionSet, ReferenceArea,
     VolumeForce,
@@ -30,9 +30,9 @@ fn bodies(compartments: usize) -> Vec<Arm> {
                 timestep: if index == 3 { 0.5e-3 } else { 1e-3 },
                 gravity: [3.0 * share, -2.0 * share, 9.81],
                 servo_frequency: 8.0 + 4.0 * share,
-                plane_mass: 0.05 * share,
-                plane_inertia: 1e-6 * share,
-                longitudinal_stiffness: 196.0 + 20.0 * share,
+                plane_mass: (0.05 * share).into(),
+                plane_inertia: (1e-6 * share).into(),
+                longitudinal_stiffness: (196.0 + 20.0 * share).into(),
                 lift_scale: 1.0 - 2.0 * share,
                 volume_force: if index % 3 == 0 {
                     VolumeForce::Total
@@ -46,6 +46,9 @@ fn bodies(compartments: usize) -> Vec<Arm> {
                 },
                 ..ArmParameters::default()
             };
+            // Some with a number for each compartment.
+            let parameters =
+                if index % 3 == 1 { uneven(&parameters, index as u64) } else { parameters };
             let actuator = if index % 2 == 0 { Actuator::Servo } else { Actuator::Direct };
             let mut arm = Arm::undeformed(parameters, actuator).unwrap();
             let count = arm.observation_len();

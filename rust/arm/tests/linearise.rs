@@ -7,8 +7,9 @@ mod common;
 use common::numbers;
 use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, BaseCoupling};
 
-fn swinging(actuator: Actuator, base_coupling: BaseCoupling) -> Arm {
+fn swinging(actuator: Actuator, base_coupling: BaseCoupling, uneven: bool) -> Arm {
     let parameters = ArmParameters { compartments: 6, base_coupling, ..ArmParameters::default() };
+    let parameters = if uneven { common::uneven(&parameters, 8) } else { parameters };
     let mut arm = Arm::new(parameters, actuator).unwrap();
     for step in 0..400 {
         let phase = f64::from(step) * 0.01;
@@ -39,7 +40,7 @@ fn deviation(size: usize) -> Vec<f64> {
 fn the_map_is_that_of_small_deviations() {
     for actuator in [Actuator::Direct, Actuator::Servo] {
         for coupling in [BaseCoupling::Gravity, BaseCoupling::Inertial] {
-            let arm = swinging(actuator, coupling);
+            let arm = swinging(actuator, coupling, actuator == Actuator::Servo);
             let command = [-11.4, -19.9];
             let map = arm.linearise(command).unwrap();
             let state = arm.state();
@@ -85,7 +86,7 @@ fn the_map_is_that_of_small_deviations() {
 
 #[test]
 fn a_direct_base_is_where_it_is_told_to_be() {
-    let arm = swinging(Actuator::Direct, BaseCoupling::Gravity);
+    let arm = swinging(Actuator::Direct, BaseCoupling::Gravity, false);
     let map = arm.linearise([10.0, 5.0]).unwrap();
     let base = map.state.nrows() - 4;
     for row in 0..2 {
@@ -99,7 +100,7 @@ fn a_direct_base_is_where_it_is_told_to_be() {
 
 #[test]
 fn nothing_moves_and_what_would_leave_the_domain_is_told() {
-    let arm = swinging(Actuator::Servo, BaseCoupling::Gravity);
+    let arm = swinging(Actuator::Servo, BaseCoupling::Gravity, false);
     let before = arm.state();
     assert_eq!(arm.linearise([10.0, 5.0]).unwrap(), arm.linearise([10.0, 5.0]).unwrap());
     assert_eq!(arm.state(), before);

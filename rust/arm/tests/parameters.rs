@@ -4,10 +4,10 @@
 mod common;
 mod reference;
 
-use common::{arm_in, random_state};
+use common::{arm_in, random_state, uneven};
 use octoarm_arm::{
-    Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ParameterError, ReferenceArea,
-    VolumeForce,
+    Actuator, Arm, ArmParameters, BaseCoupling, BaseMotion, ParameterError, PerCompartment,
+    ReferenceArea, VolumeForce,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -16,26 +16,33 @@ use serde_json::Value;
 
 type Field = fn(&mut ArmParameters) -> &mut f64;
 
+fn same(value: &mut PerCompartment) -> &mut f64 {
+    match value {
+        PerCompartment::Same(value) => value,
+        PerCompartment::Each(values) => panic!("a list: {values:?}"),
+    }
+}
+
 /// A scalar, its lower limit, whether that limit is itself allowed, and its upper limit.
 const SCALARS: [(&str, Field, f64, bool, f64); 20] = [
     ("rest_length", |p| &mut p.rest_length, 0.0, false, 10.0),
     ("base_radius", |p| &mut p.base_radius, 0.0, false, 10.0),
     ("tip_radius", |p| &mut p.tip_radius, 0.0, false, 10.0),
-    ("longitudinal_mass", |p| &mut p.longitudinal_mass, 0.0, false, 100.0),
-    ("transverse_mass", |p| &mut p.transverse_mass, 0.0, true, 100.0),
+    ("longitudinal_mass", |p| same(&mut p.longitudinal_mass), 0.0, false, 100.0),
+    ("transverse_mass", |p| same(&mut p.transverse_mass), 0.0, true, 100.0),
     ("longitudinal_mass_share", |p| &mut p.longitudinal_mass_share, 1.0 / 3.0, true, 1.0),
-    ("longitudinal_damping", |p| &mut p.longitudinal_damping, 0.0, true, 1e6),
-    ("transverse_damping", |p| &mut p.transverse_damping, 0.0, true, 1e6),
-    ("longitudinal_stiffness", |p| &mut p.longitudinal_stiffness, 0.0, false, 1e9),
-    ("transverse_stiffness", |p| &mut p.transverse_stiffness, 0.0, false, 1e9),
+    ("longitudinal_damping", |p| same(&mut p.longitudinal_damping), 0.0, true, 1e6),
+    ("transverse_damping", |p| same(&mut p.transverse_damping), 0.0, true, 1e6),
+    ("longitudinal_stiffness", |p| same(&mut p.longitudinal_stiffness), 0.0, false, 1e9),
+    ("transverse_stiffness", |p| same(&mut p.transverse_stiffness), 0.0, false, 1e9),
     ("longitudinal_volume_gain", |p| &mut p.longitudinal_volume_gain, 0.0, true, 1e12),
     ("transverse_volume_gain", |p| &mut p.transverse_volume_gain, 0.0, true, 1e12),
     ("water_density", |p| &mut p.water_density, 0.0, true, 1e5),
     ("arm_density", |p| &mut p.arm_density, 0.0, true, 1e5),
     ("area_scale", |p| &mut p.area_scale, 0.0, true, 1e4),
     ("lift_scale", |p| &mut p.lift_scale, -1e4, true, 1e4),
-    ("plane_mass", |p| &mut p.plane_mass, 0.0, true, 100.0),
-    ("plane_inertia", |p| &mut p.plane_inertia, 0.0, true, 100.0),
+    ("plane_mass", |p| same(&mut p.plane_mass), 0.0, true, 100.0),
+    ("plane_inertia", |p| same(&mut p.plane_inertia), 0.0, true, 100.0),
     ("timestep", |p| &mut p.timestep, 0.0, false, 0.1),
     ("servo_frequency", |p| &mut p.servo_frequency, 0.0, false, 1e4),
 ];
@@ -125,6 +132,72 @@ fn the_limits_themselves_are_allowed() {
             }
         }
     }
+}
+
+#[test]
+fn every_entry_of_a_list_for_the_compartments_is_checked() {
+    let nominal = ArmParameters { compartments: 3, ..ArmParameters::default() };
+    for (name, value, _) in nominal.per_compartment() {
+        let (_, _, low, low_allowed, high) = SCALARS.into_iter().find(|row| row.0 == name).unwrap();
+        let read = |list: Value| {
+            let mut fields = default_json();
+            fields["compartments"] = 3.into();
+            fields[name] = list;
+            parse(&fields)
+        };
+        let fit = value.at(0);
+        assert!(read(vec![fit, high, fit].into()).is_ok(), "{name}");
+        for index in 0..3 {
+            let mut list = vec![fit; 3];
+            list[index] = high.next_up();
+            let bracket = if low_allowed { '[' } else { '(' };
+            let words = format!(
+                "{name}[{index}] = {} is outside the allowed range {bracket}{low}, {high}]",
+                high.next_up()
+            );
+            assert_eq!(read(list.into()).unwrap_err().to_string(), words);
+        }
+        for length in [0, 2, 4, 20] {
+            let message = read(vec![fit; length].into()).unwrap_err().to_string();
+            assert!(message.starts_with(&format!("{name} has shape ({length},), expected (3,)")));
+        }
+        for (given, words) in [
+            (
+                serde_json::json!("soft"),
+                "invalid type: string \"soft\", expected a number, or a list",
+            ),
+            (Value::Null, "invalid type: null, expected a number, or a list"),
+            (true.into(), "invalid type: boolean `true`, expected a number, or a list"),
+            (serde_json::json!([fit, [fit], fit]), "invalid type: sequence, expected f64"),
+        ] {
+            let message = read(given).unwrap_err().to_string();
+            assert!(message.starts_with(name) && message.contains(words), "{message}");
+        }
+    }
+}
+
+#[test]
+fn a_list_of_equal_numbers_is_the_number() {
+    let number = ArmParameters { plane_mass: 0.01.into(), ..ArmParameters::default() };
+    let fields = serde_json::to_value(&number).unwrap();
+    for (name, value, _) in number.per_compartment() {
+        let mut fields = fields.clone();
+        fields[name] = vec![value.at(0); number.compartments].into();
+        let list = ArmParameters::from_json(&fields.to_string()).unwrap();
+        assert_ne!(list, number);
+        let mut arms =
+            [&list, &number].map(|body| Arm::new(body.clone(), Actuator::Servo).unwrap());
+        for step in 0..100 {
+            arms.iter_mut().for_each(|arm| arm.step([f64::from(step % 7), 10.0]).unwrap());
+        }
+        assert_eq!(arms[0].state(), arms[1].state(), "{name}");
+    }
+}
+
+#[test]
+fn files_keep_every_entry_of_a_list() {
+    let body = uneven(&ArmParameters::default(), 9);
+    assert_eq!(ArmParameters::from_json(&body.to_json().unwrap()), Ok(body));
 }
 
 #[test]
@@ -321,8 +394,8 @@ fn arms_of_every_length_agree_with_the_reference() {
             compartments,
             volume_force: VolumeForce::Total,
             gravity: [1.0, -2.0, 9.0],
-            plane_mass: 0.01,
-            plane_inertia: 1e-6,
+            plane_mass: 0.01.into(),
+            plane_inertia: 1e-6.into(),
             ..ArmParameters::default()
         };
         let state = random_state(&parameters, compartments as u64, 0.5);

@@ -1,6 +1,9 @@
 //! The arm at rest: the springs carry the weight beyond them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod common;
+
+use common::uneven;
 use octoarm_arm::{Actuator, Arm, ArmParameters, ParameterError, VolumeForce};
 
 /// Tension that the passive springs of compartment `j` and their volume force (Eq. 7) hold at rest,
@@ -23,10 +26,13 @@ fn axial_tension(arm: &Arm, j: usize) -> f64 {
         .map(|i| {
             let across = match p.volume_force {
                 VolumeForce::Applied => 0.0,
-                VolumeForce::Total => p.transverse_stiffness * (radii[i] - p.rest_radius(j + 1)),
+                VolumeForce::Total => {
+                    p.transverse_stiffness.at(j) * (radii[i] - p.rest_radius(j + 1))
+                }
             };
             let volume_force = -p.longitudinal_volume_gain * across.abs() * excess;
-            let tension = p.longitudinal_stiffness * (lengths[i] - p.rest_length) - volume_force;
+            let tension =
+                p.longitudinal_stiffness.at(j) * (lengths[i] - p.rest_length) - volume_force;
             tension * heights[i] / lengths[i]
         })
         .sum()
@@ -67,10 +73,11 @@ fn bodies() -> Vec<(&'static str, ArmParameters)> {
             ArmParameters {
                 gravity: [-1.0, 1.5, 6.0],
                 volume_force: VolumeForce::Total,
-                plane_mass: 0.01,
+                plane_mass: 0.01.into(),
                 ..hanging.clone()
             },
         ),
+        ("uneven", uneven(&hanging, 5)),
         ("short", ArmParameters { compartments: 9, ..hanging }),
     ]
 }
@@ -114,14 +121,14 @@ fn the_rings_balance_the_slant_of_the_springs_and_the_volume_force() {
     // Inward pull on the upper and outward pull on the lower joint of a slanting spring.
     let slant = |j: usize| {
         let floor = if j == 0 { p.base_radius } else { state.coordinates[j - 1][3] };
-        let tension = p.longitudinal_stiffness * (lengths[4 * j] - p.rest_length);
+        let tension = p.longitudinal_stiffness.at(j) * (lengths[4 * j] - p.rest_length);
         tension * (state.coordinates[j][3] - floor) / lengths[4 * j]
     };
     for j in 0..p.compartments {
         let weight = (p.arm_density - p.water_density) * volumes[j] * p.gravity[2];
         let excess = volumes[j] - p.rest_volume(j);
         let volume_force = -p.transverse_volume_gain * weight.abs() * excess;
-        let ring = -p.transverse_stiffness * (state.coordinates[j][3] - p.rest_radius(j + 1));
+        let ring = -p.transverse_stiffness.at(j) * (state.coordinates[j][3] - p.rest_radius(j + 1));
         let above = if j + 1 < p.compartments { slant(j + 1) } else { 0.0 };
         let left = ring + volume_force - slant(j) + above;
         // Rounding of K_r (r − r_0): 1570 N/m · 2e-18 m.
@@ -173,8 +180,12 @@ fn the_undeformed_arm_has_every_spring_at_rest_length() {
 #[test]
 fn a_released_arm_settles_at_the_equilibrium() {
     // With light planes and little water an arm settles soon; its posture is the same.
-    let hanging =
-        ArmParameters { plane_mass: 0.0, area_scale: 1.0, lift_scale: 1.0, ..Default::default() };
+    let hanging = ArmParameters {
+        plane_mass: 0.0.into(),
+        area_scale: 1.0,
+        lift_scale: 1.0,
+        ..Default::default()
+    };
     // Sideways only a short arm: the whole one swings for minutes, its dampers hardly feel bending.
     let bodies = [
         ("hanging", hanging.clone()),

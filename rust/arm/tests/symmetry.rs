@@ -76,8 +76,8 @@ fn bodies() -> [ArmParameters; 3] {
     let carried = ArmParameters::inertial();
     let total = ArmParameters {
         volume_force: VolumeForce::Total,
-        plane_mass: 0.01,
-        plane_inertia: 1e-6,
+        plane_mass: 0.01.into(),
+        plane_inertia: 1e-6.into(),
         area_scale: 10.0,
         ..carried.clone()
     };

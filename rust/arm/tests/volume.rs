@@ -44,7 +44,7 @@ fn one_compartment(
 /// Shapes with too much and too little volume, and muscles that push and that pull.
 /// All mass in the joints, so that accelerations follow from their forces, and the arm settles soon.
 fn massless_planes() -> ArmParameters {
-    ArmParameters { plane_mass: 0.0, ..ArmParameters::default() }
+    ArmParameters { plane_mass: 0.0.into(), ..ArmParameters::default() }
 }
 
 fn cases() -> Vec<([f64; 2], [f64; 2])> {
@@ -65,12 +65,14 @@ fn equation_7_pulls_a_swollen_compartment_together() {
             let ring = match volume_force {
                 VolumeForce::Applied => spread,
                 VolumeForce::Total => {
-                    spread - body.transverse_stiffness * (q[3] - with.parameters().rest_radius(1))
+                    spread
+                        - body.transverse_stiffness.at(0)
+                            * (q[3] - with.parameters().rest_radius(1))
                 }
             };
             let force = -body.longitudinal_volume_gain * ring.abs() * excess;
             // Four springs push on four joint masses, along the strut.
-            let expected = force * q[0] / (with.lengths()[0] * body.joint_mass());
+            let expected = force * q[0] / (with.lengths()[0] * body.joint_mass(0));
             let change = with.accelerations(&BaseMotion::default())[0][0]
                 - without.accelerations(&BaseMotion::default())[0][0];
             // Rounding of accelerations of some 100 m/s².
@@ -99,7 +101,7 @@ fn equation_8_draws_the_rings_of_a_swollen_compartment_in() {
             let spring = match volume_force {
                 VolumeForce::Applied => -body.longitudinal_volume_gain * spread.abs() * excess,
                 VolumeForce::Total => {
-                    -body.longitudinal_stiffness * (with.lengths()[0] - body.rest_length)
+                    -body.longitudinal_stiffness.at(0) * (with.lengths()[0] - body.rest_length)
                 }
             };
             let force =
@@ -110,7 +112,7 @@ fn equation_8_draws_the_rings_of_a_swollen_compartment_in() {
                 let change = with[radius] - without[radius];
                 // Rounding of accelerations of some 100 m/s².
                 assert!(
-                    (change - force / body.joint_mass()).abs() < 1e-11,
+                    (change - force / body.joint_mass(0)).abs() < 1e-11,
                     "{volume_force:?}, {shape:?}, {push}, {spread}: {change} m/s² of {force} N"
                 );
                 assert!(change * excess < 0.0, "{volume_force:?}: away from the rest volume");

@@ -128,8 +128,8 @@ fn water_forces_grow_with_the_square_of_the_velocity() {
 fn the_energy_that_a_swing_loses_went_into_the_water() {
     // Without dampers the water is the only loss: the energy falls by the integral of its power.
     let parameters = ArmParameters {
-        longitudinal_damping: 0.0,
-        transverse_damping: 0.0,
+        longitudinal_damping: 0.0.into(),
+        transverse_damping: 0.0.into(),
         timestep: 6.25e-5,
         ..swimmer()
     };

@@ -101,7 +101,7 @@ const FIXED: [&str; 4] = ["compartments", "timestep", "rest_length", "servo_freq
 
 /// Settings that have been checked, with their bodies; shared, and never changed.
 #[derive(Clone, Debug)]
-pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>)>);
+pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>, Vec<Vec<f64>>)>);
 
 impl std::ops::Deref for CheckedConfig {
     type Target = EpisodeConfig;
@@ -116,6 +116,11 @@ impl CheckedConfig {
     #[must_use]
     pub fn drawn_bodies(&self) -> &[ArmParameters] {
         &self.0.1
+    }
+
+    /// The factors that a body was drawn with, in the order of `vary`.
+    pub(crate) fn factors(&self, body: usize) -> &[f64] {
+        &self.0.2[body]
     }
 
     /// Whether both are the very same.
@@ -165,13 +170,14 @@ impl EpisodeConfig {
             Orbit::check_samples(samples, ANGLE_LIMIT)?;
         }
         let drawn = draw_bodies(&self.arm, &self.vary, self.bodies, self.body_seed)?;
-        Ok(CheckedConfig(Arc::new((self, drawn))))
+        let factors = draw_factors(&self.vary, self.bodies, self.body_seed);
+        Ok(CheckedConfig(Arc::new((self, drawn, factors))))
     }
 
     /// Physics steps from one action to the next.
     #[must_use]
     pub fn physics_steps(&self) -> u32 {
-        (self.control_period / self.arm.timestep).round() as u32
+        whole_steps(self.control_period, self.arm.timestep)
     }
 
     /// Bounds of the observed spring lengths \[m\]: the domain's own.
@@ -231,8 +237,13 @@ pub(crate) fn length_bounds(arm: &ArmParameters) -> (f64, f64) {
     (low * arm.rest_length, high * arm.rest_length)
 }
 
-/// Checks a control period, and gives the physics steps in it.
-pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<u32, ParameterError> {
+/// Physics steps in a control period.
+pub(crate) fn whole_steps(control_period: f64, timestep: f64) -> u32 {
+    (control_period / timestep).round() as u32
+}
+
+/// Checks a control period: a whole number of physics steps.
+pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<(), ParameterError> {
     Interval::above(0.0, 10.0).check(control_period, || "control_period".to_owned())?;
     let steps = control_period / timestep;
     let whole = steps.round();
@@ -242,7 +253,7 @@ pub(crate) fn check_period(control_period: f64, timestep: f64) -> Result<u32, Pa
         );
         return Err(ParameterError::out_of_range("control_period", control_period, range));
     }
-    Ok(whole as u32)
+    Ok(())
 }
 
 /// Checks what is counted of the disturbances.
@@ -283,10 +294,17 @@ pub(crate) fn draw_bodies(
     let Ok(Value::Object(nominal)) = serde_json::to_value(arm) else {
         return Err(ParameterError::Format("the body has no JSON form".to_owned()));
     };
-    // A number that has a point in JSON; counts have none.
-    let varies = |name: &str| -> Option<f64> {
-        let number = nominal.get(name).filter(|value| value.is_f64() && !FIXED.contains(&name));
-        number.and_then(Value::as_f64)
+    let lists = arm.per_compartment().map(|(name, ..)| name);
+    // A number that has a point in JSON, counts have none; or one for each compartment.
+    let varies = |name: &str| -> Option<&Value> {
+        let value = nominal.get(name).filter(|_| !FIXED.contains(&name));
+        value.filter(|value| value.is_f64() || lists.contains(&name))
+    };
+    let scaled = |value: &Value, factor: f64| match value {
+        Value::Array(entries) => {
+            entries.iter().filter_map(Value::as_f64).map(|entry| factor * entry).collect()
+        }
+        value => Value::from(factor * value.as_f64().unwrap_or_default()),
     };
     if let Some(name) = vary.keys().find(|name| varies(name).is_none()) {
         let known: Vec<&str> =
@@ -294,19 +312,27 @@ pub(crate) fn draw_bodies(
         let range = format!("of numbers of the body: {}", known.join(", "));
         return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
     }
-    let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
-    let body = |_| {
+    let body = |factors: Vec<f64>| {
         let mut drawn = nominal.clone();
-        for (name, [low, high]) in vary {
-            let factor = low + (high - low) * share(&mut generator);
-            let value = factor * varies(name).unwrap_or_default();
-            drawn.insert(name.clone(), value.into());
+        for (name, factor) in vary.keys().zip(factors) {
+            drawn.insert(name.clone(), scaled(&nominal[name], factor));
         }
         let drawn: ArmParameters = read_fields(Value::Object(drawn))?;
         drawn.validate()?;
         Ok(drawn)
     };
-    (0..bodies).map(body).collect()
+    draw_factors(vary, bodies, seed).into_iter().map(body).collect()
+}
+
+/// The factors of every body, in the order of `vary`.
+pub(crate) fn draw_factors(
+    vary: &BTreeMap<String, [f64; 2]>,
+    bodies: usize,
+    seed: u64,
+) -> Vec<Vec<f64>> {
+    let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
+    let mut draw = |[low, high]: &[f64; 2]| low + (high - low) * share(&mut generator);
+    (0..bodies).map(|_| vary.values().map(&mut draw).collect()).collect()
 }
 
 #[cfg(test)]
@@ -370,14 +396,14 @@ mod tests {
         let nominal = ArmParameters::default();
         let factors: Vec<f64> = drawn
             .iter()
-            .map(|arm| arm.longitudinal_stiffness / nominal.longitudinal_stiffness)
+            .map(|arm| arm.longitudinal_stiffness.at(0) / nominal.longitudinal_stiffness.at(0))
             .collect();
         assert!(factors.iter().all(|factor| (0.5..=2.0).contains(factor)), "{factors:?}");
         assert!(factors.iter().any(|factor| *factor < 0.7), "{factors:?}");
         assert!(factors.iter().any(|factor| *factor > 1.8), "{factors:?}");
         for arm in &drawn {
             assert!((0.9..=1.0).contains(&(arm.arm_density / nominal.arm_density)));
-            let longitudinal_stiffness = nominal.longitudinal_stiffness;
+            let longitudinal_stiffness = nominal.longitudinal_stiffness.clone();
             let arm_density = nominal.arm_density;
             let same = ArmParameters { longitudinal_stiffness, arm_density, ..arm.clone() };
             assert_eq!(same, nominal);
@@ -386,6 +412,22 @@ mod tests {
         assert_ne!(bodies(1), drawn);
         let plain = EpisodeConfig::default().checked().expect("valid");
         assert_eq!(plain.drawn_bodies(), [nominal]);
+    }
+
+    #[test]
+    fn a_factor_is_of_every_entry_of_a_list() {
+        let text = r#"{"arm": {"compartments": 3, "transverse_damping": [0.5, 1.0, 2.0]},
+            "bodies": 20, "vary": {"transverse_damping": [0.5, 2.0]}}"#;
+        let config = EpisodeConfig::from_json(text).expect("settings").checked().expect("valid");
+        let first = |arm: &ArmParameters| arm.transverse_damping.at(0);
+        for arm in config.drawn_bodies() {
+            let factor = first(arm) / 0.5;
+            assert!((0.5..=2.0).contains(&factor), "{factor}");
+            // 0.5, 1 and 2 are powers of 2: nothing is rounded.
+            assert_eq!(arm.transverse_damping, vec![0.5 * factor, factor, 2.0 * factor].into());
+        }
+        let drawn = config.drawn_bodies();
+        assert!(drawn.iter().any(|arm| first(arm) != first(&drawn[0])));
     }
 
     #[test]

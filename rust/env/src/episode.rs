@@ -94,7 +94,14 @@ impl Episode {
         self.arm.place(self.task.body(start), self.task.first_state(start));
         self.task.begin(start);
         self.see();
-        self.task.first_outcome(self.arm.base_degrees())
+        let outcome = self.task.first_outcome(self.arm.base_degrees());
+        self.told(outcome)
+    }
+
+    /// The outcome with what lies between the agent and the body.
+    fn told(&self, mut outcome: Outcome) -> Outcome {
+        self.task.tell(&|| self.arm.lengths(), &mut outcome);
+        outcome
     }
 
     /// The last action; after a reset, the one that the swing was under.
@@ -152,7 +159,8 @@ impl Episode {
         let steps = self.task.physics_steps();
         let failure = control_step(&mut self.arm, command, steps, || Ok(()))?;
         self.see();
-        Ok(self.task.after(action, self.arm.base_degrees(), failure))
+        let outcome = self.task.after(action, self.arm.base_degrees(), failure);
+        Ok(self.told(outcome))
     }
 
     /// The agent's next look at the springs.

@@ -132,11 +132,19 @@ fn begin<T: Task>(
     }
 }
 
+/// The lengths of an arm's springs \[m\].
+fn lengths_of(lanes: &ArmLanes, lane: usize) -> Vec<f64> {
+    let mut lengths = vec![0.0; lanes.observation_len()];
+    lanes.lengths_into(lane, &mut lengths);
+    lengths
+}
+
 /// What the agents see after a step, or, in the mask, after a reset; the others' rows stay as they were.
 fn observe<T: Task>(
     lanes: &ArmLanes,
     tasks: &mut [T],
     observations: &mut [f64],
+    outcomes: &mut [Option<T::Outcome>],
     mask: Option<&[bool]>,
 ) {
     let width = observations.len() / tasks.len();
@@ -145,6 +153,9 @@ fn observe<T: Task>(
         lanes.lengths_into(lane, row);
         if mask.is_none_or(|mask| mask[lane]) {
             task.see(row);
+            if let Some(outcome) = &mut outcomes[lane] {
+                task.tell(&|| lengths_of(lanes, lane), outcome);
+            }
         } else {
             task.show(row);
         }
@@ -172,18 +183,19 @@ impl<T: Task> GroupStep<'_, T> {
             if steps[lane] == 0 {
                 continue;
             }
-            let outcome = task.finish(&actions[lane], lanes, lane, failures[lane]);
+            let mut outcome = task.finish(&actions[lane], lanes, lane, failures[lane]);
             outcomes[lane] = Some(outcome.clone());
             if task.stage() == Stage::Over && autoreset == Autoreset::SameStep {
                 let mut observation = vec![0.0; task.observation_len(lanes.observation_len())];
                 lanes.lengths_into(lane, &mut observation);
                 task.see(&mut observation);
+                task.tell(&|| lengths_of(lanes, lane), &mut outcome);
                 lasts[lane] = Some(Last { observation, outcome });
                 starts.push((lane, task.draw(None)));
             }
         }
         begin(lanes, tasks, outcomes, &starts);
-        observe(lanes, tasks, observations, None);
+        observe(lanes, tasks, observations, outcomes, None);
     }
 }
 
@@ -251,12 +263,6 @@ impl EpisodeBatch {
         self.tasks[index].swing()
     }
 
-    /// The last actions; after a reset, those that the swings were under.
-    #[must_use]
-    pub fn actions(&self) -> Vec<[f64; 2]> {
-        self.tasks.iter().map(LimitCycle::action).collect()
-    }
-
     /// The teachers' actions now.
     #[must_use]
     pub fn teacher_actions(&self) -> Vec<[f64; 2]> {
@@ -321,6 +327,13 @@ impl<T: Task> EpisodeBatch<T> {
         self.tasks.iter().map(Task::elapsed).collect()
     }
 
+    /// The last actions; after a reset, those that the arms were under before it: of a target the swings'
+    /// own, of muscles none.
+    #[must_use]
+    pub fn actions(&self) -> Vec<T::Action> {
+        self.tasks.iter().map(Task::action).collect()
+    }
+
     /// Whether every episode was begun by a reset.
     #[must_use]
     pub fn begun(&self) -> bool {
@@ -377,7 +390,7 @@ impl<T: Task> EpisodeBatch<T> {
                 starts.push((lane, task.draw(ask)));
             }
             begin(lanes, tasks, outcomes, &starts);
-            observe(lanes, tasks, rows, Some(mask));
+            observe(lanes, tasks, rows, outcomes, Some(mask));
         });
         Ok(BatchReset { observations, outcomes })
     }

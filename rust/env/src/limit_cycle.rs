@@ -10,7 +10,7 @@ use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::outcome::Outcome;
 use crate::reward::Reward;
-use crate::senses::{Disturbances, Senses};
+use crate::senses::{DisturbanceInfo, Disturbances, Senses};
 use crate::swing::{Snapshot, Swing, Swings};
 use crate::task::{Stage, Task, check_entry, check_limit};
 
@@ -188,11 +188,6 @@ impl LimitCycle {
         self.as_action(self.swing().clock.command(self.tick, self.undisturbed).0)
     }
 
-    /// The action before; after a reset, that of the swing.
-    pub(crate) fn action(&self) -> [f64; 2] {
-        self.action
-    }
-
     /// The angles \[degrees\] that the base is commanded by an action, noise included.
     pub(crate) fn command(&mut self, action: [f64; 2]) -> [f64; 2] {
         let command = action.map(|share| share * self.action_range);
@@ -239,6 +234,7 @@ impl LimitCycle {
             body: self.body,
             failure,
             truncated: false,
+            disturbance: None,
         }
     }
 }
@@ -256,6 +252,10 @@ impl Task for LimitCycle {
 
     fn elapsed(&self) -> u64 {
         self.elapsed
+    }
+
+    fn action(&self) -> [f64; 2] {
+        self.action
     }
 
     fn seed(&mut self, seed: u64) {
@@ -341,6 +341,12 @@ impl Task for LimitCycle {
         if let Some(senses) = &mut self.senses {
             senses.see(&self.disturbances, lengths);
         }
+    }
+
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut Outcome) {
+        let factors = self.config.factors(self.body);
+        outcome.disturbance =
+            DisturbanceInfo::of(self.senses.as_ref(), &self.disturbances, factors, lengths);
     }
 
     fn show(&self, lengths: &mut [f64]) {

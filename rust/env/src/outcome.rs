@@ -4,9 +4,10 @@ use octoarm_arm::DomainError;
 
 use crate::config::EpisodeConfig;
 use crate::reward::RewardTerms;
+use crate::senses::DisturbanceInfo;
 
 /// What a step or a reset brought, beside the spring lengths.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// Reward of the step, the sum of the terms; 0 of a reset.
     pub reward: f64,
@@ -24,15 +25,19 @@ pub struct Outcome {
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
     pub truncated: bool,
+    /// What lies between the agent and the body, where anything does.
+    pub disturbance: Option<Box<DisturbanceInfo>>,
 }
 
 /// How a word of an outcome is read.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub enum Reading<O = Outcome> {
     /// A number.
     Number(fn(&O) -> f64),
     /// Two angles \[degrees\].
     Angles(fn(&O) -> [f64; 2]),
+    /// A place \[m\].
+    Point(fn(&O) -> [f64; 3]),
     /// A count, from 0.
     Index(fn(&O) -> usize),
     /// A flag.
@@ -41,16 +46,64 @@ pub enum Reading<O = Outcome> {
     Text(fn(&O) -> Option<String>),
 }
 
+// By hand, since derived they would ask the outcome for as much.
+impl<O> Clone for Reading<O> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<O> Copy for Reading<O> {}
+
 /// A word for a part of an outcome: the one list of them, for Python's `info` and the server alike.
-#[derive(Clone, Copy, Debug)]
-pub struct Word {
+#[derive(Debug)]
+pub struct Word<O: Words = Outcome> {
     /// Key in Python's `info`, and name of the observation on a server.
     pub name: &'static str,
     /// Part of the outcome that the word stands for.
-    pub reading: Reading,
-    /// The smallest and the largest value, where there are any, of an episode of these settings whose
-    /// target has the given amplitude \[degrees\].
-    pub bounds: fn(&EpisodeConfig, f64) -> [Option<f64>; 2],
+    pub reading: Reading<O>,
+    /// The smallest and the largest value, where there are any, of an episode of these settings.
+    pub bounds: O::Bounds,
+}
+
+impl<O: Words> Clone for Word<O> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<O: Words> Copy for Word<O> {}
+
+/// What can be told of an outcome.
+pub trait Words: Clone + std::fmt::Debug + 'static {
+    /// Bounds from the settings of an episode.
+    type Bounds: Copy + std::fmt::Debug + 'static;
+
+    /// What Gymnasium gives beside the info: reward, and the two ends.
+    fn result() -> &'static [Word<Self>; 3];
+
+    /// What is in the observation beside what is seen of the springs.
+    fn seen() -> &'static [Word<Self>];
+
+    /// What Gymnasium gives in the info.
+    fn info() -> &'static [Word<Self>];
+}
+
+impl Words for Outcome {
+    /// Of a target that has the given amplitude \[degrees\].
+    type Bounds = fn(&EpisodeConfig, f64) -> [Option<f64>; 2];
+
+    fn result() -> &'static [Word; 3] {
+        &Self::RESULT
+    }
+
+    fn seen() -> &'static [Word] {
+        &[]
+    }
+
+    fn info() -> &'static [Word] {
+        &Self::INFO
+    }
 }
 
 /// Each of the two entries of an action changes by at most 2.

@@ -1,154 +1,23 @@
 //! The rules of an episode in which the arm's muscles bring its tip to a goal.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use octoarm_arm::transcendental::exp_negative;
-use octoarm_arm::{
-    Actuator, Arm, ArmLanes, ArmParameters, ArmState, DomainError, Interval, ParameterError,
-    memory, poll, read_json,
-};
+use octoarm_arm::{Arm, ArmLanes, ArmState, DomainError, Interval, ParameterError, memory};
 use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{check_counts, check_period, draw_bodies, length_bounds};
+use crate::config::draw_factors;
 use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::episode_batch::{Autoreset, EpisodeBatch};
-use crate::outcome::Reading;
-use crate::senses::{Disturbances, Senses};
+use crate::goals::{FARTHEST, check_goal};
+use crate::outcome::{Reading, Word, Words};
+use crate::reach_bodies::ReachBodies;
+use crate::reach_config::{MUSCLES, ReachConfig, ReachReward, distance};
+use crate::senses::{DisturbanceInfo, Disturbances, Senses};
 use crate::task::{Stage, Task, check_entry, check_limit};
-
-/// Groups of muscles in a segment: the longitudinal ones of the four sides, and the transverse ones.
-pub const MUSCLES: usize = 5;
-/// Largest coordinate of a goal \[m\].
-const FARTHEST: f64 = 10.0;
-
-/// Reward of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ReachReward {
-    /// 0 within the threshold, else −1.
-    Sparse,
-    /// Minus the distance \[m\].
-    Dense,
-}
-
-/// Everything that `gym.make("OctoArmReach-v0", …)` takes, beside goals, rendering and length.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ReachConfig {
-    /// Body; by default [`ArmParameters::nakajima2013`].
-    pub arm: ArmParameters,
-    /// Time from one action to the next \[s\], as in [`crate::EpisodeConfig`]; by default 0.05.
-    pub control_period: f64,
-    /// Parts along the arm whose muscles act as one, from 1 to the number of compartments; by default 5.
-    pub segments: usize,
-    /// Force of a fully active muscle at the arm's base \[N\], in (0, 100\]; by default 1. Along the arm
-    /// it falls as the cross-section does: the stress is the same.
-    pub max_force: f64,
-    /// Time constant with which the activation follows the action \[s\], in (0, 10\]; by default 0.1.
-    pub activation_time: f64,
-    /// Distance from the goal at which it counts as reached \[m\], in (0, 1\]; by default 0.02.
-    pub distance_threshold: f64,
-    /// Reward of a step; by default [`ReachReward::Sparse`].
-    pub reward_type: ReachReward,
-    /// Whether the agent sees, after the lengths, how fast they have changed in the last control period
-    /// on average \[m/s\]; by default not.
-    pub observe_rates: bool,
-    /// As in [`crate::EpisodeConfig`].
-    pub length_noise: f64,
-    /// As in [`crate::EpisodeConfig`].
-    pub delay: usize,
-    /// As in [`crate::EpisodeConfig`].
-    pub dropout: usize,
-    /// As in [`crate::EpisodeConfig`].
-    pub vary: BTreeMap<String, [f64; 2]>,
-    /// As in [`crate::EpisodeConfig`].
-    pub bodies: usize,
-    /// As in [`crate::EpisodeConfig`].
-    pub body_seed: u64,
-}
-
-impl Default for ReachConfig {
-    fn default() -> Self {
-        Self {
-            arm: ArmParameters::default(),
-            control_period: 0.05,
-            segments: 5,
-            max_force: 1.0,
-            activation_time: 0.1,
-            distance_threshold: 0.02,
-            reward_type: ReachReward::Sparse,
-            observe_rates: false,
-            length_noise: 0.0,
-            delay: 0,
-            dropout: 0,
-            vary: BTreeMap::new(),
-            bodies: 1,
-            body_seed: 0,
-        }
-    }
-}
-
-impl ReachConfig {
-    /// Settings from JSON text; what is left out takes its default, and nothing is checked yet.
-    ///
-    /// # Errors
-    /// [`ParameterError::Format`] that names the setting.
-    pub fn from_json(text: &str) -> Result<Self, ParameterError> {
-        read_json(text)
-    }
-
-    /// Checks every setting, and gives the parameters of the bodies that are drawn.
-    ///
-    /// # Errors
-    /// [`ParameterError`] that names the setting, its value and its range.
-    pub fn drawn_bodies(&self) -> Result<Vec<ArmParameters>, ParameterError> {
-        let above = Interval::above;
-        self.arm.validate()?;
-        for (name, value, range) in [
-            ("max_force", self.max_force, above(0.0, 100.0)),
-            ("activation_time", self.activation_time, above(0.0, 10.0)),
-            ("distance_threshold", self.distance_threshold, above(0.0, 1.0)),
-            ("length_noise", self.length_noise, Interval::closed(0.0, 1.0)),
-        ] {
-            range.check(value, || name.to_owned())?;
-        }
-        let most = self.arm.compartments;
-        if !(1..=most).contains(&self.segments) {
-            let range = format!("[1, {most}] of whole numbers");
-            return Err(ParameterError::out_of_range("segments", self.segments, range));
-        }
-        check_period(self.control_period, self.arm.timestep)?;
-        check_counts(self.delay, self.dropout, &self.arm)?;
-        draw_bodies(&self.arm, &self.vary, self.bodies, self.body_seed)
-    }
-
-    /// Bounds of the observed spring lengths \[m\]: the domain's own.
-    #[must_use]
-    pub fn observation_bounds(&self) -> (f64, f64) {
-        length_bounds(&self.arm)
-    }
-
-    /// The reward of a tip so far from the goal \[m\].
-    #[must_use]
-    pub fn reward(&self, distance: f64) -> f64 {
-        match self.reward_type {
-            ReachReward::Dense => -distance,
-            ReachReward::Sparse if distance <= self.distance_threshold => 0.0,
-            ReachReward::Sparse => -1.0,
-        }
-    }
-}
-
-/// The distance between two points \[m\].
-#[must_use]
-pub fn distance(tip: [f64; 3], goal: [f64; 3]) -> f64 {
-    let [x, y, z] = [0, 1, 2].map(|axis| tip[axis] - goal[axis]);
-    (x * x + y * y + z * z).sqrt()
-}
 
 /// What a step or a reset brought, beside the spring lengths.
 #[derive(Clone, Debug, PartialEq)]
@@ -169,21 +38,94 @@ pub struct ReachOutcome {
     pub failure: Option<DomainError>,
     /// Whether the episode ended because its time is over.
     pub truncated: bool,
+    /// What lies between the agent and the body, where anything does.
+    pub disturbance: Option<Box<DisturbanceInfo>>,
 }
 
 impl ReachOutcome {
-    /// What Gymnasium gives in the info.
-    pub const INFO: [(&'static str, Reading<Self>); 4] = [
-        ("is_success", Reading::Flag(|outcome| outcome.success)),
-        ("distance", Reading::Number(|outcome| outcome.distance)),
-        ("body", Reading::Index(|outcome| outcome.body)),
-        ("failure", Reading::Text(|outcome| outcome.failure.map(|failure| failure.to_string()))),
-    ];
-
     /// Whether the arm left its domain.
     #[must_use]
     pub fn terminated(&self) -> bool {
         self.failure.is_some()
+    }
+}
+
+/// No bounds but those of the type.
+const UNBOUNDED: fn(&ReachConfig) -> [Option<f64>; 2] = |_| [None, None];
+
+impl Words for ReachOutcome {
+    type Bounds = fn(&ReachConfig) -> [Option<f64>; 2];
+
+    fn result() -> &'static [Word<Self>; 3] {
+        const RESULT: [Word<ReachOutcome>; 3] = [
+            Word {
+                name: "reward",
+                reading: Reading::Number(|outcome| outcome.reward),
+                bounds: |config| match config.reward_type {
+                    ReachReward::Sparse => [Some(-1.0), Some(0.0)],
+                    ReachReward::Dense => [None, Some(0.0)],
+                },
+            },
+            Word {
+                name: "terminated",
+                reading: Reading::Flag(ReachOutcome::terminated),
+                bounds: UNBOUNDED,
+            },
+            Word {
+                name: "truncated",
+                reading: Reading::Flag(|outcome| outcome.truncated),
+                bounds: UNBOUNDED,
+            },
+        ];
+        &RESULT
+    }
+
+    fn seen() -> &'static [Word<Self>] {
+        const SEEN: [Word<ReachOutcome>; 2] = [
+            Word {
+                name: "achieved_goal",
+                reading: Reading::Point(|outcome| outcome.tip),
+                // Every spring stays within the domain.
+                bounds: |config| {
+                    let farthest = config.observation_bounds().1 * config.arm.compartments as f64;
+                    [Some(-farthest), Some(farthest)]
+                },
+            },
+            Word {
+                name: "desired_goal",
+                reading: Reading::Point(|outcome| outcome.goal),
+                bounds: |_| [Some(-FARTHEST), Some(FARTHEST)],
+            },
+        ];
+        &SEEN
+    }
+
+    fn info() -> &'static [Word<Self>] {
+        const INFO: [Word<ReachOutcome>; 4] = [
+            Word {
+                name: "is_success",
+                reading: Reading::Flag(|outcome| outcome.success),
+                bounds: UNBOUNDED,
+            },
+            Word {
+                name: "distance",
+                reading: Reading::Number(|outcome| outcome.distance),
+                bounds: |_| [Some(0.0), None],
+            },
+            Word {
+                name: "body",
+                reading: Reading::Index(|outcome| outcome.body),
+                bounds: |config| [Some(0.0), Some(config.bodies as f64 - 1.0)],
+            },
+            Word {
+                name: "failure",
+                reading: Reading::Text(|outcome| {
+                    outcome.failure.map(|failure| failure.to_string())
+                }),
+                bounds: UNBOUNDED,
+            },
+        ];
+        &INFO
     }
 }
 
@@ -193,6 +135,8 @@ impl ReachOutcome {
 pub struct ReachState {
     arm: ArmState,
     activation: Vec<f64>,
+    /// Of the last step; after a reset, 0.
+    action: Vec<f64>,
     goal: [f64; 3],
     running: bool,
     over: bool,
@@ -213,6 +157,8 @@ struct Shared {
     max_episode_steps: Option<u64>,
     /// The bodies at rest, and the states that they are in.
     bodies: Vec<(Arm, ArmState)>,
+    /// Factors that they were drawn with.
+    factors: Vec<Vec<f64>>,
     physics_steps: u32,
     /// Share of its way to the action that the activation makes in a physics step.
     pace: f64,
@@ -234,6 +180,8 @@ pub struct Reach {
     body: usize,
     goal: [f64; 3],
     activation: Vec<f64>,
+    /// Of the last step; after a reset, 0.
+    action: Vec<f64>,
     stage: Stage,
     elapsed: u64,
     generator: Pcg64,
@@ -242,26 +190,9 @@ pub struct Reach {
 }
 
 impl Shared {
-    fn new(
-        config: ReachConfig,
-        goals: Vec<[f64; 3]>,
-        max_episode_steps: Option<u64>,
-    ) -> Result<Self, ParameterError> {
+    fn new(bodies: ReachBodies, max_episode_steps: Option<u64>) -> Result<Self, ParameterError> {
         check_limit(max_episode_steps)?;
-        let drawn = config.drawn_bodies()?;
-        if goals.is_empty() {
-            return Err(ParameterError::shape("goals", "(0, 3)", "(G, 3) with at least one"));
-        }
-        for (index, goal) in goals.iter().enumerate() {
-            check_goal(*goal, |axis| format!("goals[{index}, {axis}]"))?;
-        }
-        let mut bodies = Vec::with_capacity(drawn.len());
-        for parameters in drawn {
-            poll()?;
-            let arm = Arm::new(parameters, Actuator::Direct)?;
-            let state = arm.state();
-            bodies.push((arm, state));
-        }
+        let ReachBodies { config, goals, arms: bodies, .. } = bodies.finish()?;
         let arm = &config.arm;
         let forces = (0..arm.compartments)
             .map(|j| {
@@ -270,19 +201,13 @@ impl Shared {
             })
             .collect();
         Ok(Self {
-            disturbances: Disturbances {
-                length_noise: config.length_noise,
-                action_noise: 0.0,
-                delay: config.delay,
-                dropout: config.dropout,
-                bounds: config.observation_bounds(),
-                rest_length: config.arm.rest_length,
-            },
-            physics_steps: check_period(config.control_period, config.arm.timestep)?,
+            disturbances: config.disturbances(),
+            physics_steps: config.physics_steps(),
             pace: 1.0 - exp_negative(config.arm.timestep / config.activation_time),
             goals,
             max_episode_steps,
             bodies,
+            factors: draw_factors(&config.vary, config.bodies, config.body_seed),
             forces,
             config,
         })
@@ -302,6 +227,7 @@ impl Reach {
             body: self.body,
             failure,
             truncated: false,
+            disturbance: None,
         }
     }
 
@@ -324,11 +250,28 @@ impl Reach {
     }
 }
 
-fn check_goal(goal: [f64; 3], name: impl Fn(usize) -> String) -> Result<(), ParameterError> {
-    let mut axes = goal.into_iter().enumerate();
-    axes.try_for_each(|(axis, value)| {
-        Interval::within(FARTHEST).of("m").check(value, || name(axis))
-    })
+/// Checks the actions of a batch of arms with so many muscles each.
+///
+/// # Errors
+/// [`ParameterError`] that names the entry, its value and its range.
+pub fn check_activations(
+    actions: &[Vec<f64>],
+    muscles: usize,
+) -> Result<Vec<Vec<f64>>, ParameterError> {
+    let of_one = |(index, action): (usize, &Vec<f64>)| {
+        if action.len() != muscles {
+            let shape = |count: usize| format!("({count},)");
+            let (name, found) = (format!("actions[{index}]"), shape(action.len()));
+            return Err(ParameterError::shape(&name, found, shape(muscles)));
+        }
+        let entries = action.iter().enumerate();
+        entries
+            .map(|(muscle, value)| {
+                check_entry(0.0, *value, || format!("actions[{index}, {muscle}]"))
+            })
+            .collect()
+    };
+    actions.iter().enumerate().map(of_one).collect()
 }
 
 impl Task for Reach {
@@ -344,6 +287,10 @@ impl Task for Reach {
 
     fn elapsed(&self) -> u64 {
         self.elapsed
+    }
+
+    fn action(&self) -> Vec<f64> {
+        self.action.clone()
     }
 
     fn seed(&mut self, seed: u64) {
@@ -378,6 +325,7 @@ impl Task for Reach {
         self.body = start.body;
         self.goal = start.goal;
         self.activation.fill(0.0);
+        self.action.fill(0.0);
         self.stage = Stage::Running;
         self.elapsed = 0;
         self.seen.clear();
@@ -387,21 +335,7 @@ impl Task for Reach {
     }
 
     fn check_actions(&self, actions: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, ParameterError> {
-        let muscles = self.activation.len();
-        let of_one = |(index, action): (usize, &Vec<f64>)| {
-            if action.len() != muscles {
-                let shape = |count: usize| format!("({count},)");
-                let (name, found) = (format!("actions[{index}]"), shape(action.len()));
-                return Err(ParameterError::shape(&name, found, shape(muscles)));
-            }
-            let entries = action.iter().enumerate();
-            entries
-                .map(|(muscle, value)| {
-                    check_entry(0.0, *value, || format!("actions[{index}, {muscle}]"))
-                })
-                .collect()
-        };
-        actions.iter().enumerate().map(of_one).collect()
+        check_activations(actions, self.activation.len())
     }
 
     fn physics_steps(&self) -> u32 {
@@ -425,12 +359,13 @@ impl Task for Reach {
 
     fn finish(
         &mut self,
-        _: &Vec<f64>,
+        action: &Vec<f64>,
         lanes: &ArmLanes,
         lane: usize,
         failure: Option<DomainError>,
     ) -> ReachOutcome {
         self.elapsed = self.elapsed.saturating_add(1);
+        self.action.clone_from(action);
         let mut outcome = self.outcome(lanes, lane, failure);
         outcome.reward = self.shared.config.reward(outcome.distance);
         outcome.truncated = self.shared.max_episode_steps.is_some_and(|most| self.elapsed >= most);
@@ -465,6 +400,13 @@ impl Task for Reach {
         }
     }
 
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut ReachOutcome) {
+        let Shared { disturbances, factors, .. } = &*self.shared;
+        let senses = self.senses.as_ref();
+        outcome.disturbance =
+            DisturbanceInfo::of(senses, disturbances, &factors[self.body], lengths);
+    }
+
     fn show(&self, row: &mut [f64]) {
         let (lengths, rates) = row.split_at_mut(4 * self.shared.config.arm.compartments);
         if let Some(senses) = &self.senses {
@@ -480,6 +422,7 @@ impl Task for Reach {
         ReachState {
             arm,
             activation: self.activation.clone(),
+            action: self.action.clone(),
             goal: self.goal,
             running: self.stage == Stage::Running,
             over: self.stage == Stage::Over,
@@ -502,13 +445,14 @@ impl Task for Reach {
         };
         Senses::check(state.senses.as_ref(), disturbances, 4 * config.arm.compartments)?;
         Self::check_ask(state.goal)?;
-        let (found, expected) = (state.activation.len(), self.activation.len());
-        if found != expected {
-            let shape = |count: usize| format!("({count},)");
-            return Err(ParameterError::shape("activation", shape(found), shape(expected)));
+        for (name, found) in [("activation", &state.activation), ("action", &state.action)] {
+            let (found, expected) = (found.len(), self.activation.len());
+            if found != expected {
+                let shape = |count: usize| format!("({count},)");
+                return Err(ParameterError::shape(name, shape(found), shape(expected)));
+            }
         }
         let (low, high) = disturbances.bounds;
-        let fastest = (high - low) / config.control_period;
         let springs = 4 * config.arm.compartments;
         let width = if config.observe_rates { 2 * springs } else { 0 };
         if ![0, width].contains(&state.seen.len()) {
@@ -519,18 +463,21 @@ impl Task for Reach {
             let range = if index < springs {
                 Interval::closed(low, high).of("m")
             } else {
-                Interval::within(fastest).of("m/s")
+                Interval::within(config.fastest()).of("m/s")
             };
             range.check(*value, || format!("seen[{index}]"))?;
         }
-        for (index, value) in state.activation.iter().enumerate() {
-            Interval::closed(0.0, 1.0).check(*value, || format!("activation[{index}]"))?;
+        for (name, values) in [("activation", &state.activation), ("action", &state.action)] {
+            for (index, value) in values.iter().enumerate() {
+                Interval::closed(0.0, 1.0).check(*value, || format!("{name}[{index}]"))?;
+            }
         }
         Ok((body, &state.arm))
     }
 
     fn set_state(&mut self, state: &ReachState) {
         self.activation.clone_from(&state.activation);
+        self.action.clone_from(&state.action);
         self.goal = state.goal;
         self.stage = Stage::saved(state.running, state.over);
         self.elapsed = state.elapsed;
@@ -556,14 +503,30 @@ impl EpisodeBatch<Reach> {
         autoreset: Autoreset,
         threads: Option<usize>,
     ) -> Result<Self, ParameterError> {
+        let bodies = ReachBodies::new(config, goals)?;
+        Self::reaching_with(bodies, count, max_episode_steps, autoreset, threads)
+    }
+
+    /// As [`EpisodeBatch::reaching`], with bodies that may be made already.
+    ///
+    /// # Errors
+    /// As [`EpisodeBatch::reaching`].
+    pub fn reaching_with(
+        bodies: ReachBodies,
+        count: usize,
+        max_episode_steps: Option<u64>,
+        autoreset: Autoreset,
+        threads: Option<usize>,
+    ) -> Result<Self, ParameterError> {
         if count == 0 {
             return Err(ParameterError::out_of_range("num_envs", 0, "of positive numbers"));
         }
-        let shared = Arc::new(Shared::new(config, goals, max_episode_steps)?);
+        let shared = Arc::new(Shared::new(bodies, max_episode_steps)?);
         let task = Reach {
             body: 0,
             goal: shared.goals[0],
-            activation: vec![0.0; MUSCLES * shared.config.segments],
+            activation: vec![0.0; shared.config.muscles()],
+            action: vec![0.0; shared.config.muscles()],
             stage: Stage::Waiting,
             elapsed: 0,
             generator: Pcg64::seed_from_u64(0),

@@ -36,6 +36,73 @@ impl Disturbances {
     }
 }
 
+/// What lies between the agent and the body after a reset or a step, for who looks from outside; only what
+/// the settings ask for is there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DisturbanceInfo {
+    /// Factors on the parameters of the arm that vary, in the alphabetical order of their names.
+    body_factors: Option<Vec<f64>>,
+    /// What was added to the angles that the action commands \[degrees\]; 0 after a reset.
+    action_noise: Option<[f64; 2]>,
+    /// Lengths of all springs as they are \[m\].
+    true_lengths: Option<Vec<f64>>,
+    /// Which springs are not seen in this episode.
+    dropped: Option<Vec<bool>>,
+    /// Control periods that a reading takes.
+    delay: Option<usize>,
+}
+
+/// A part of a [`DisturbanceInfo`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum Told {
+    /// Numbers.
+    Numbers(Vec<f64>),
+    /// Flags.
+    Flags(Vec<bool>),
+    /// A count.
+    Count(usize),
+}
+
+impl DisturbanceInfo {
+    /// Of an episode with such senses, whose body is the nominal one times `factors`; none of one that is
+    /// not disturbed, and then nothing is asked for the lengths \[m\].
+    pub(crate) fn of(
+        senses: Option<&Senses>,
+        disturbances: &Disturbances,
+        factors: &[f64],
+        lengths: &dyn Fn() -> Vec<f64>,
+    ) -> Option<Box<Self>> {
+        if senses.is_none() && factors.is_empty() {
+            return None;
+        }
+        let Disturbances { length_noise, action_noise, delay, dropout, .. } = *disturbances;
+        let unseen = |senses: &Senses| {
+            (0..lengths().len()).map(|spring| senses.unseen.contains(&spring)).collect()
+        };
+        Some(Box::new(Self {
+            body_factors: (!factors.is_empty()).then(|| factors.to_vec()),
+            action_noise: senses.filter(|_| action_noise > 0.0).map(|senses| senses.noise),
+            true_lengths: (length_noise > 0.0 || delay > 0 || dropout > 0).then(lengths),
+            dropped: senses.filter(|_| dropout > 0).map(unseen),
+            delay: (delay > 0).then_some(delay),
+        }))
+    }
+
+    /// What there is, each with its key in Python's `info`.
+    #[must_use]
+    pub fn parts(&self) -> Vec<(&'static str, Told)> {
+        let noise = self.action_noise.map(|noise| noise.to_vec());
+        let parts = [
+            ("body_factors", self.body_factors.clone().map(Told::Numbers)),
+            ("action_noise", noise.map(Told::Numbers)),
+            ("true_lengths", self.true_lengths.clone().map(Told::Numbers)),
+            ("dropped", self.dropped.clone().map(Told::Flags)),
+            ("delay", self.delay.map(Told::Count)),
+        ];
+        parts.into_iter().filter_map(|(name, told)| Some((name, told?))).collect()
+    }
+}
+
 /// The disturbances of an episode, and the readings that are on their way to the agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,6 +110,9 @@ pub struct Senses {
     generator: Pcg64,
     /// Springs that are not seen in this episode.
     unseen: Vec<usize>,
+    /// What was added to the last command \[degrees\].
+    #[serde(default)]
+    noise: [f64; 2],
     /// The last readings \[m\], the one that the agent has now first; none before the first.
     readings: VecDeque<Vec<f64>>,
 }
@@ -59,6 +129,7 @@ impl Senses {
         disturbances.any().then(|| Self {
             generator,
             unseen: Vec::new(),
+            noise: [0.0; 2],
             readings: VecDeque::new(),
         })
     }
@@ -78,6 +149,7 @@ impl Senses {
     /// A new episode begins: what was read before is forgotten.
     pub(crate) fn begin(&mut self) {
         self.readings.clear();
+        self.noise = [0.0; 2];
     }
 
     /// What the base is commanded \[degrees\] in place of what the agent wants.
@@ -85,7 +157,8 @@ impl Senses {
         if disturbances.action_noise == 0.0 {
             return command;
         }
-        command.map(|angle| angle + disturbances.action_noise * draw(&mut self.generator))
+        self.noise = [0; 2].map(|_| disturbances.action_noise * draw(&mut self.generator));
+        [command[0] + self.noise[0], command[1] + self.noise[1]]
     }
 
     /// Takes the lengths \[m\] of all springs, and gives what the agent sees in their place. At the begin
@@ -152,6 +225,11 @@ impl Senses {
         }
         if saved.unseen.len() > springs || saved.unseen.iter().any(|spring| *spring >= springs) {
             return refuse("springs that there are not", "of the arm's springs");
+        }
+        for (axis, noise) in saved.noise.into_iter().enumerate() {
+            Interval::within(disturbances.action_noise)
+                .of("degrees")
+                .check(noise, || format!("senses.noise[{axis}]"))?;
         }
         let count = saved.readings.len();
         if count != 0 && count != disturbances.delay + 1 {
@@ -282,6 +360,7 @@ mod tests {
             |senses| senses.readings[0][3] = f64::NAN,
             |senses| senses.readings[1][3] = 7.0,
             |senses| drop(senses.readings.pop_front()),
+            |senses| senses.noise[1] = 0.1,
         ] {
             let mut bad = senses.clone();
             change(&mut bad);

@@ -45,6 +45,9 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// Steps since the reset.
     fn elapsed(&self) -> u64;
 
+    /// The last action; after a reset, the one that the arm was under before it.
+    fn action(&self) -> Self::Action;
+
     /// Starts the generator of resets anew.
     fn seed(&mut self, seed: u64);
 
@@ -104,6 +107,10 @@ pub trait Task: Clone + Debug + Send + Sync {
     /// Turns the lengths of the springs, after a reset or a step, into what the agent sees; the row is
     /// of [`Task::observation_len`], and begins with the lengths.
     fn see(&mut self, row: &mut [f64]);
+
+    /// Adds to an outcome what lies between the agent and the body, after [`Task::see`]; the lengths \[m\]
+    /// are those of the springs themselves.
+    fn tell(&self, lengths: &dyn Fn() -> Vec<f64>, outcome: &mut Self::Outcome);
 
     /// Turns the lengths of the springs into what the agent has seen of them.
     fn show(&self, row: &mut [f64]);

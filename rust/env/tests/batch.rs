@@ -87,7 +87,7 @@ impl Single {
         self.elapsed += 1;
         let ends = (outcome.failure.is_some(), self.elapsed >= MOST_STEPS);
         self.ended = ends.0 || ends.1;
-        let mut seen = self.seen(outcome.terms.total(), ends, outcome);
+        let mut seen = self.seen(outcome.terms.total(), ends, outcome.clone());
         if self.ended && autoreset == Autoreset::SameStep {
             seen.last = Some((seen.lengths, outcome));
             seen.outcome = self.reset();
@@ -114,8 +114,10 @@ fn seen(batch: &mut EpisodeBatch, actions: &[[f64; 2]]) -> Vec<Seen> {
             lengths: bits(&step.observations[index * width..(index + 1) * width]),
             reward: ends[index].reward,
             ends: (ends[index].terminated(), ends[index].truncated),
-            outcome: step.outcomes[index],
-            last: step.lasts[index].as_ref().map(|last| (bits(&last.observation), last.outcome)),
+            outcome: step.outcomes[index].clone(),
+            last: step.lasts[index]
+                .as_ref()
+                .map(|last| (bits(&last.observation), last.outcome.clone())),
         })
         .collect()
 }

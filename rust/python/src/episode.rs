@@ -2,7 +2,7 @@
 
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use octoarm_arm::ParameterError;
-use octoarm_env::{EpisodeConfig, Orbit, Outcome, Reading, TargetName};
+use octoarm_env::{EpisodeConfig, Orbit, Outcome, Reading, TargetName, Told};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -103,6 +103,9 @@ fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>>
             Reading::Angles(read) => {
                 info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
             }
+            Reading::Point(read) => {
+                info.set_item(word.name, PyArray1::from_slice(py, &read(outcome)))?;
+            }
             Reading::Index(read) => info.set_item(word.name, index.call1((read(outcome),))?)?,
             Reading::Flag(read) => info.set_item(word.name, read(outcome))?,
             Reading::Text(read) => {
@@ -110,6 +113,13 @@ fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>>
                     info.set_item(word.name, text)?;
                 }
             }
+        }
+    }
+    for (name, told) in outcome.disturbance.iter().flat_map(|disturbance| disturbance.parts()) {
+        match told {
+            Told::Numbers(numbers) => info.set_item(name, numbers.into_pyarray(py))?,
+            Told::Flags(flags) => info.set_item(name, flags.into_pyarray(py))?,
+            Told::Count(count) => info.set_item(name, index.call1((count,))?)?,
         }
     }
     Ok(info)

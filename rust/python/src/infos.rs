@@ -1,7 +1,7 @@
 //! The infos of many episodes, as Gymnasium joins them.
 
-use numpy::{IntoPyArray, PyArray1};
-use octoarm_env::{BatchStep, Last, Reading};
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
+use octoarm_env::{BatchStep, DisturbanceInfo, Last, Outcome, ReachOutcome, Reading, Told};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -13,6 +13,68 @@ pub(crate) type Infos<'py> = Bound<'py, PyDict>;
 /// The keys of an info, and how each is read.
 pub(crate) type Words<O> = Vec<(&'static str, Reading<O>)>;
 
+/// What tells of disturbances.
+pub(crate) trait Disturbed {
+    fn disturbance(&self) -> Option<&DisturbanceInfo>;
+}
+
+impl Disturbed for Outcome {
+    fn disturbance(&self) -> Option<&DisturbanceInfo> {
+        self.disturbance.as_deref()
+    }
+}
+
+impl Disturbed for ReachOutcome {
+    fn disturbance(&self) -> Option<&DisturbanceInfo> {
+        self.disturbance.as_deref()
+    }
+}
+
+/// The parts of the disturbances of episodes with the same settings: an array each, of a row for each
+/// episode, zeros for those without.
+fn set_disturbances<O: Disturbed>(infos: &Infos<'_>, outcomes: &[Option<&O>]) -> PyResult<()> {
+    let py = infos.py();
+    let told: Vec<Vec<(&str, Told)>> = outcomes
+        .iter()
+        .map(|outcome| {
+            outcome.and_then(Disturbed::disturbance).map_or_else(Vec::new, |told| told.parts())
+        })
+        .collect();
+    let mask: Vec<bool> = told.iter().map(|parts| !parts.is_empty()).collect();
+    let Some(first) = told.iter().find(|parts| !parts.is_empty()) else { return Ok(()) };
+    for (place, (name, part)) in first.iter().enumerate() {
+        let parts = || told.iter().map(|parts| parts.get(place).map(|(_, part)| part));
+        match part {
+            Told::Numbers(numbers) => {
+                let width = numbers.len();
+                let values = parts().flat_map(|part| match part {
+                    Some(Told::Numbers(numbers)) => numbers.clone(),
+                    _ => vec![0.0; width],
+                });
+                infos.set_item(name, table(py, values.collect(), width)?)?;
+            }
+            Told::Flags(flags) => {
+                let width = flags.len();
+                let values = parts().flat_map(|part| match part {
+                    Some(Told::Flags(flags)) => flags.clone(),
+                    _ => vec![false; width],
+                });
+                let values: Vec<bool> = values.collect();
+                infos.set_item(name, values.into_pyarray(py).reshape([told.len(), width])?)?;
+            }
+            Told::Count(_) => {
+                let values = parts().map(|part| match part {
+                    Some(Told::Count(count)) => *count as i64,
+                    _ => 0,
+                });
+                infos.set_item(name, values.collect::<Vec<i64>>().into_pyarray(py))?;
+            }
+        }
+        set_mask(infos, name, &mask)?;
+    }
+    Ok(())
+}
+
 /// A row of flags, and the name of the key that it belongs to.
 fn set_mask(infos: &Infos<'_>, key: &str, mask: &[bool]) -> PyResult<()> {
     infos.set_item(format!("_{key}"), PyArray1::from_slice(infos.py(), mask))
@@ -20,7 +82,7 @@ fn set_mask(infos: &Infos<'_>, key: &str, mask: &[bool]) -> PyResult<()> {
 
 /// The infos of the environments that have one, as `gymnasium.vector.VectorEnv` joins them: an array
 /// a key, zeros for the others, and a mask.
-pub(crate) fn infos<'py, O>(
+pub(crate) fn infos<'py, O: Disturbed>(
     py: Python<'py>,
     words: Words<O>,
     outcomes: &[Option<&O>],
@@ -40,6 +102,10 @@ pub(crate) fn infos<'py, O>(
             Reading::Angles(read) => {
                 let values = some().flat_map(|outcome| outcome.map_or([0.0; 2], read)).collect();
                 infos.set_item(name, table(py, values, 2)?)?;
+            }
+            Reading::Point(read) => {
+                let values = some().flat_map(|outcome| outcome.map_or([0.0; 3], read)).collect();
+                infos.set_item(name, table(py, values, 3)?)?;
             }
             Reading::Index(read) => {
                 let index = |outcome| read(outcome) as i64;
@@ -62,6 +128,7 @@ pub(crate) fn infos<'py, O>(
         }
         set_mask(&infos, name, &mask)?;
     }
+    set_disturbances(&infos, outcomes)?;
     Ok(infos)
 }
 
@@ -83,7 +150,7 @@ fn objects<'py, T: IntoPyObject<'py>>(
 
 /// The infos of a step; those of episodes that ended and began anew within it are under `final_info`.
 /// What an agent saw last is made into its observation by `observe`.
-pub(crate) fn step_infos<'py, O, T: IntoPyObject<'py>>(
+pub(crate) fn step_infos<'py, O: Disturbed, T: IntoPyObject<'py>>(
     py: Python<'py>,
     words: impl Fn() -> Words<O>,
     step: &mut BatchStep<O>,

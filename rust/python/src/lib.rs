@@ -29,7 +29,9 @@ mod _core {
     use crate::errors::DomainError;
     use crate::errors::invalid;
     #[pymodule_export]
-    use crate::reach::{ReachBatch, drawn_reach_bodies, reach_rewards};
+    use crate::reach::{
+        ReachBatch, check_reach_actions, drawn_reach_bodies, reach_rewards, reachable_goals,
+    };
 
     /// The named bodies with all their parameters, as JSON text.
     #[pyfunction]

@@ -4,6 +4,7 @@ use numpy::{IntoPyArray, PyArray1};
 use octoarm_arm::ParameterError;
 use octoarm_env::{
     BatchStep, EpisodeBatch, Last, MUSCLES, Reach, ReachConfig, ReachOutcome, ReachReward,
+    Words as _,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -27,12 +28,33 @@ pub(crate) struct ReachBatch {
 }
 
 fn words() -> Words<ReachOutcome> {
-    ReachOutcome::INFO.into()
+    ReachOutcome::info().iter().map(|word| (word.name, word.reading)).collect()
 }
 
 /// Triples of neighbouring numbers.
 fn points_of(flat: &[f64]) -> Vec<[f64; 3]> {
     flat.as_chunks().0.to_vec()
+}
+
+/// Where the tip of the default body has been held by its muscles, (K, 3).
+#[pyfunction]
+pub(crate) fn reachable_goals(py: Python<'_>) -> PyResult<Table<'_>> {
+    table(py, octoarm_env::reachable_goals().as_flattened().to_vec(), 3)
+}
+
+/// The actions of so many arms with so many muscles, (N, muscles), after the checks that the step of a
+/// batch makes.
+#[pyfunction]
+pub(crate) fn check_reach_actions<'py>(
+    py: Python<'py>,
+    actions: &Bound<'py, PyAny>,
+    num_envs: usize,
+    muscles: usize,
+) -> PyResult<Table<'py>> {
+    let (actions, _) = numbers("actions", actions, &[Some(num_envs), Some(muscles)])?;
+    let rows: Vec<Vec<f64>> = actions.chunks_exact(muscles).map(<[f64]>::to_vec).collect();
+    let checked = octoarm_env::check_activations(&rows, muscles).map_err(invalid)?;
+    table(py, checked.concat(), muscles)
 }
 
 /// The parameters of every body that these settings draw, as JSON text.
@@ -186,7 +208,7 @@ impl ReachBatch {
 
     #[getter]
     fn action_len(&self) -> usize {
-        MUSCLES * self.inner.settings().segments
+        self.inner.settings().muscles()
     }
 
     /// Where the tips should be, (N, 3).

@@ -1,110 +1,47 @@
 //! An agent's view of a world: the episodes of one arm or of a batch in the states of the protocol.
 
-use octoarm_arm::ParameterError;
-use octoarm_env::{
-    Episode, EpisodeBatch, EpisodeConfig, Last, Outcome, PartialStep, Reading, Swing, Word,
-};
+use std::ops::Range;
 
+use octoarm_arm::ParameterError;
+use octoarm_env::{EpisodeBatch, Last, Outcome, PartialStep, ReachOutcome, Task, Words};
+
+use crate::episodes::{Episodes, read};
+use crate::next_reset::{NextReset, Seed};
 use crate::protocol::{EnvironmentStateType, StepResponse, Tensor};
 use crate::reply::{Answer, Refusal};
-use crate::specs::{Observation, Specs};
+use crate::specs::{Part, Specs, words};
 use crate::tensor;
-use crate::world_settings::{NextReset, Seed, WorldSettings, weight};
-
-/// Time of a physics step of one arm or of eight in lanes, roughly \[µs\].
-const MICROSECONDS_A_STEP: f64 = 10.0;
-
-/// Roughly the time that a part of a long step takes \[µs\].
-const MICROSECONDS_A_PART: f64 = 500.0;
+use crate::world_settings::WorldSettings;
 
 /// A control period that is made in parts.
 #[derive(Debug)]
 pub(crate) struct Advance {
-    actions: Option<Vec<[f64; 2]>>,
+    /// Of all arms, one after the other.
+    actions: Option<Vec<f64>>,
     /// Of a batch that has begun it.
-    step: Option<PartialStep>,
+    cycle: Option<PartialStep>,
+    reach: Option<PartialStep<Vec<f64>, ReachOutcome>>,
 }
 
 impl Advance {
     /// Under an action for every arm; without actions each keeps its last one.
-    pub(crate) fn new(actions: Option<Vec<[f64; 2]>>) -> Self {
-        Self { actions, step: None }
+    pub(crate) fn new(actions: Option<Vec<f64>>) -> Self {
+        Self { actions, cycle: None, reach: None }
     }
 }
 
-/// The episodes of a world.
-#[derive(Debug)]
-pub(crate) enum Episodes {
-    /// Episodes of one arm.
-    Single(Box<Episode>),
-    /// Episodes of many arms, which begin new ones by themselves.
-    Batch(EpisodeBatch),
-}
-
-impl Episodes {
-    /// The settings of every episode.
-    pub(crate) fn config(&self) -> &EpisodeConfig {
-        match self {
-            Self::Single(episode) => episode.config(),
-            Self::Batch(batch) => batch.config(0),
-        }
-    }
-
-    /// The swing that episodes begin from.
-    pub(crate) fn swing(&self) -> &Swing {
-        match self {
-            Self::Single(episode) => episode.swing(),
-            Self::Batch(batch) => batch.swing(0),
-        }
-    }
-
-    /// Number of arms.
-    pub(crate) fn len(&self) -> usize {
-        match self {
-            Self::Single(_) => 1,
-            Self::Batch(batch) => batch.len(),
-        }
-    }
-
-    /// Roughly how long a step takes, of one arm or of eight in lanes \[µs\].
-    fn group_microseconds(&self) -> f64 {
-        let steps = f64::from(self.config().physics_steps());
-        steps * weight(self.config()) * MICROSECONDS_A_STEP
-    }
-
-    /// Whether every arm has begun an episode.
-    pub(crate) fn begun(&self) -> bool {
-        match self {
-            Self::Single(episode) => episode.running() || episode.ended(),
-            Self::Batch(batch) => batch.begun(),
-        }
-    }
-
-    /// Where every arm stands, as if its episode began there.
-    pub(crate) fn outcomes(&self) -> Vec<Outcome> {
-        match self {
-            Self::Single(episode) => vec![episode.outcome()],
-            Self::Batch(batch) => batch.outcomes(),
-        }
-    }
-
-    /// Roughly how long a step takes \[µs\].
-    pub(crate) fn microseconds(&self) -> f64 {
-        let groups = match self {
-            Self::Single(_) => 1,
-            Self::Batch(batch) => batch.len().div_ceil(8),
-        };
-        self.group_microseconds() * groups as f64
-    }
-
-    /// Groups of arms whose steps are a part that others can wait for.
-    fn groups_a_part(&self) -> usize {
-        let threads = match self {
-            Self::Single(_) => 1,
-            Self::Batch(batch) => batch.arms().threads(),
-        };
-        threads * (MICROSECONDS_A_PART / self.group_microseconds()).ceil().max(1.0) as usize
-    }
+/// Makes the next part of a step of a batch: at most so many groups. Says whether it was the last one.
+fn advance<T: Task>(
+    batch: &mut EpisodeBatch<T>,
+    step: &mut Option<PartialStep<T::Action, T::Outcome>>,
+    actions: impl FnOnce() -> Option<Vec<T::Action>>,
+    groups: usize,
+) -> Answer<bool> {
+    let step = match step {
+        Some(step) => step,
+        None => step.insert(batch.begin_step(&actions().unwrap_or_else(|| batch.actions()))?),
+    };
+    Ok(batch.advance_step(step, groups))
 }
 
 /// Episodes, and what the protocol adds to them.
@@ -122,82 +59,107 @@ pub(crate) struct Environment {
 }
 
 /// What a step has to tell of every arm.
-struct Told<'a> {
-    /// The spring lengths.
-    lengths: &'a dyn Fn() -> Vec<f64>,
+struct Told<'a, O> {
+    /// What is seen of the springs: their lengths, and what follows from them.
+    seen: &'a dyn Fn() -> Vec<f64>,
     /// The outcome that they belong to.
-    outcomes: Vec<&'a Outcome>,
+    outcomes: Vec<&'a O>,
     /// The outcome whose reward and end count, where an episode ended and the next one began.
-    results: Vec<&'a Outcome>,
+    results: Vec<&'a O>,
     /// The ends of those episodes.
-    lasts: Vec<&'a Last>,
+    lasts: Vec<&'a Last<O>>,
 }
 
-impl<'a> Told<'a> {
+impl<'a, O> Told<'a, O> {
     /// Of arms whose episodes go on, or have come to an end.
-    fn new(lengths: &'a dyn Fn() -> Vec<f64>, outcomes: &'a [Outcome]) -> Self {
-        let outcomes: Vec<&Outcome> = outcomes.iter().collect();
-        Self { lengths, results: outcomes.clone(), outcomes, lasts: Vec::new() }
+    fn new(seen: &'a dyn Fn() -> Vec<f64>, outcomes: &'a [O]) -> Self {
+        let outcomes: Vec<&O> = outcomes.iter().collect();
+        Self { seen, results: outcomes.clone(), outcomes, lasts: Vec::new() }
     }
 }
 
-/// A word of every outcome.
-fn read(word: Word, outcomes: &[&Outcome], shape: &[i32]) -> Tensor {
-    let outcomes = outcomes.iter().copied();
-    match word.reading {
-        Reading::Number(read) => tensor::doubles(outcomes.map(read).collect(), shape),
-        Reading::Angles(read) => tensor::doubles(outcomes.flat_map(read).collect(), shape),
-        Reading::Index(read) => tensor::integers(outcomes.map(read), shape),
-        Reading::Flag(read) => tensor::bools(outcomes.map(read).collect(), shape),
-        Reading::Text(read) => {
-            let texts = outcomes.map(|outcome| read(outcome).unwrap_or_default());
-            tensor::strings(texts.collect(), shape)
-        }
+/// These columns of rows that are so wide.
+fn columns(rows: Vec<f64>, width: usize, columns: Range<usize>) -> Vec<f64> {
+    if rows.is_empty() || columns.len() == width {
+        return rows;
     }
+    rows.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
 }
 
 /// A step's answer: the observations that are wanted of what it has to tell.
-fn response(
+fn response<O: Words>(
     state: EnvironmentStateType,
-    wanted: &[(u64, Observation)],
+    wanted: &[usize],
     specs: &Specs,
-    told: &Told<'_>,
+    told: &Told<'_, O>,
 ) -> StepResponse {
-    let is_result = |word: Word| Outcome::RESULT.iter().any(|result| result.name == word.name);
-    let tensor = |observation: Observation| {
-        let shape = &specs.shape(observation, told.lasts.len() as i32);
-        match observation {
-            Observation::SpringLengths => tensor::doubles((told.lengths)(), shape),
-            Observation::Word(word) if is_result(word) => read(word, &told.results, shape),
-            Observation::Word(word) => read(word, &told.outcomes, shape),
-            Observation::FinalSpringLengths => {
-                let rows = told.lasts.iter().flat_map(|last| last.observation.iter().copied());
-                tensor::doubles(rows.collect(), shape)
-            }
-            Observation::Final(word) => {
-                let ends: Vec<&Outcome> = told.lasts.iter().map(|last| &last.outcome).collect();
-                read(word, &ends, shape)
+    let tensor = |place: usize| -> Option<Tensor> {
+        let (observation, shape) = specs.shape(place, told.lasts.len() as i32);
+        let shape = &shape;
+        let lasts = || told.lasts.iter().copied();
+        let columns_of = |part: fn(usize, usize) -> Range<usize>| {
+            let springs = shape[shape.len() - 1] as usize;
+            let rows = match observation.last {
+                false => (told.seen)(),
+                true => lasts().flat_map(|last| last.observation.iter().copied()).collect(),
+            };
+            let count = if observation.last { told.lasts.len() } else { told.outcomes.len() };
+            let width = rows.len() / count.max(1);
+            tensor::doubles(columns(rows, width, part(springs, width)), shape)
+        };
+        match observation.part {
+            Part::SpringLengths => Some(columns_of(|springs, _| 0..springs)),
+            Part::LengthRates => Some(columns_of(|springs, width| springs..width)),
+            Part::Word(word) => {
+                let ends: Vec<&O>;
+                let outcomes = match (observation.last, observation.result) {
+                    (false, true) => &told.results,
+                    (false, false) => &told.outcomes,
+                    (true, _) => {
+                        ends = lasts().map(|last| &last.outcome).collect();
+                        &ends
+                    }
+                };
+                words().nth(word).map(|word| read(word, outcomes, shape))
             }
         }
     };
-    let observations = wanted.iter().map(|(uid, observation)| (*uid, tensor(*observation)));
+    let observations =
+        wanted.iter().filter_map(|place| tensor(*place).map(|tensor| (*place as u64 + 1, tensor)));
     StepResponse { state: state as i32, observations: observations.collect() }
+}
+
+/// The answer of a batch, or of an arm of its own, to a step that is made.
+fn stepped<A, O: Words>(
+    step: PartialStep<A, O>,
+    state: impl FnOnce(&O) -> EnvironmentStateType,
+    wanted: &[usize],
+    specs: &Specs,
+) -> StepResponse {
+    let step = step.finish();
+    let told = Told {
+        seen: &|| step.observations.clone(),
+        outcomes: step.outcomes.iter().collect(),
+        results: step.steps().collect(),
+        lasts: step.lasts.iter().flatten().collect(),
+    };
+    response(state(&step.outcomes[0]), wanted, specs, &told)
+}
+
+/// The state after a step of one arm.
+fn state_after(terminated: bool, truncated: bool) -> EnvironmentStateType {
+    match (terminated, truncated) {
+        (true, _) => EnvironmentStateType::Terminated,
+        (_, true) => EnvironmentStateType::Interrupted,
+        _ => EnvironmentStateType::Running,
+    }
 }
 
 impl Environment {
     /// Episodes that wait for their first step.
     pub(crate) fn new(settings: WorldSettings) -> Result<Self, ParameterError> {
-        let WorldSettings { config, seed, num_envs, max_episode_steps, autoreset, threads } =
-            settings;
-        let episodes = match num_envs {
-            None => Episodes::Single(Box::new(Episode::with_limit(config, max_episode_steps)?)),
-            Some(count) => Episodes::Batch(EpisodeBatch::new(
-                &vec![config; count],
-                max_episode_steps,
-                autoreset,
-                Some(threads),
-            )?),
-        };
+        let seed = settings.seed;
+        let episodes = Episodes::new(settings)?;
         let next = NextReset { seed: seed.map(Seed::First), ..NextReset::default() };
         Ok(Self { episodes, running: false, next, asked: false, seeded: false })
     }
@@ -218,7 +180,8 @@ impl Environment {
     /// The agent leaves: its episode is over, and what it wanted of the next one too.
     pub(crate) fn leave(&mut self) {
         self.running = false;
-        (self.next.phase, self.next.mask, self.asked) = (None, None, false);
+        self.next = NextReset { seed: self.next.seed.take(), ..NextReset::default() };
+        self.asked = false;
         if self.seeded {
             self.next.seed = None;
         }
@@ -232,28 +195,21 @@ impl Environment {
                 self.seeded = true;
                 self.next.seed = None;
             }
-            Episodes::Batch(_) => self.next.seed = Some(Seed::First(seed)),
+            _ => self.next.seed = Some(Seed::First(seed)),
         }
     }
 
     /// Goes on where a saved state stands.
     pub(crate) fn restored(&mut self) {
-        self.running = match &self.episodes {
-            Episodes::Single(episode) => episode.running(),
-            Episodes::Batch(batch) => batch.begun(),
-        };
+        self.running = self.episodes.running();
         (self.next, self.asked) = (NextReset::default(), false);
         self.seeded = true;
     }
 
     /// Begins an episode.
-    pub(crate) fn begin(
-        &mut self,
-        wanted: &[(u64, Observation)],
-        specs: &Specs,
-    ) -> Answer<StepResponse> {
-        let NextReset { seed, phase, mask } = &self.next;
-        let phase = *phase;
+    pub(crate) fn begin(&mut self, wanted: &[usize], specs: &Specs) -> Answer<StepResponse> {
+        let NextReset { seed, phase, goal, mask } = &self.next;
+        let (phase, goal) = (*phase, *goal);
         let drawn = if seed.is_some() || self.seeded {
             None
         } else {
@@ -262,6 +218,9 @@ impl Environment {
             })?))
         };
         let seed = seed.as_ref().or(drawn.as_ref());
+        let seeds = |count: usize| -> Vec<Option<u64>> {
+            (0..count).map(|index| seed.and_then(|seed| seed.of(index))).collect()
+        };
         match &mut self.episodes {
             Episodes::Single(episode) => {
                 if let Some(seed) = seed.and_then(|seed| seed.of(0)) {
@@ -273,9 +232,10 @@ impl Environment {
                 };
             }
             Episodes::Batch(batch) => {
-                let seeds: Vec<Option<u64>> =
-                    (0..batch.len()).map(|index| seed.and_then(|seed| seed.of(index))).collect();
-                batch.reset(mask.as_deref(), &seeds, phase)?;
+                batch.reset(mask.as_deref(), &seeds(batch.len()), phase)?;
+            }
+            Episodes::Reach { batch, .. } => {
+                batch.reset(mask.as_deref(), &seeds(batch.len()), goal)?;
             }
         }
         (self.next, self.asked) = (NextReset::default(), false);
@@ -288,64 +248,85 @@ impl Environment {
     pub(crate) fn tell(
         &self,
         state: EnvironmentStateType,
-        wanted: &[(u64, Observation)],
+        wanted: &[usize],
         specs: &Specs,
     ) -> StepResponse {
-        let mut outcomes = self.episodes.outcomes();
-        let lengths = || match &self.episodes {
-            Episodes::Single(episode) => episode.observation(),
-            Episodes::Batch(batch) => batch.shown(),
+        let truncated = state == EnvironmentStateType::Interrupted;
+        let cycle = |mut outcomes: Vec<Outcome>, seen: &dyn Fn() -> Vec<f64>| {
+            outcomes.iter_mut().for_each(|outcome| outcome.truncated = truncated);
+            response(state, wanted, specs, &Told::new(seen, &outcomes))
         };
-        for outcome in &mut outcomes {
-            outcome.truncated = state == EnvironmentStateType::Interrupted;
+        match &self.episodes {
+            Episodes::Single(episode) => cycle(vec![episode.outcome()], &|| episode.observation()),
+            Episodes::Batch(batch) => cycle(batch.outcomes(), &|| batch.shown()),
+            Episodes::Reach { batch, .. } => {
+                let mut outcomes = batch.outcomes();
+                outcomes.iter_mut().for_each(|outcome| outcome.truncated = truncated);
+                response(state, wanted, specs, &Told::new(&|| batch.shown(), &outcomes))
+            }
         }
-        response(state, wanted, specs, &Told::new(&lengths, &outcomes))
     }
 
     /// Makes the next part of a control period; the answer comes with the last one.
     pub(crate) fn advance(
         &mut self,
         advance: &mut Advance,
-        wanted: &[(u64, Observation)],
+        wanted: &[usize],
         specs: &Specs,
     ) -> Answer<Option<StepResponse>> {
         let groups = self.episodes.groups_a_part();
+        let Advance { actions, cycle, reach } = advance;
         match &mut self.episodes {
             Episodes::Single(episode) => {
-                let actions = advance.actions.as_deref();
-                let action = actions.map_or(episode.action(), |actions| actions[0]);
-                let outcome = episode.step(action)?;
+                let action = actions.as_ref().and_then(|actions| actions.as_chunks().0.first());
+                let outcome = episode.step(action.copied().unwrap_or(episode.action()))?;
                 self.running = episode.running();
-                let state = match (outcome.terminated(), outcome.truncated) {
-                    (true, _) => EnvironmentStateType::Terminated,
-                    (_, true) => EnvironmentStateType::Interrupted,
-                    _ => EnvironmentStateType::Running,
-                };
-                let lengths = || episode.observation();
-                let told = Told::new(&lengths, std::slice::from_ref(&outcome));
+                let state = state_after(outcome.terminated(), outcome.truncated);
+                let seen = || episode.observation();
+                let told = Told::new(&seen, std::slice::from_ref(&outcome));
                 Ok(Some(response(state, wanted, specs, &told)))
             }
             Episodes::Batch(batch) => {
-                let mut step = match advance.step.take() {
-                    Some(step) => step,
-                    None => {
-                        let actions = advance.actions.take();
-                        batch.begin_step(&actions.unwrap_or_else(|| batch.actions()))?
-                    }
-                };
-                if !batch.advance_step(&mut step, groups) {
-                    advance.step = Some(step);
+                let actions = || actions.take().map(|actions| actions.as_chunks().0.to_vec());
+                if !self::advance(batch, cycle, actions, groups)? {
                     return Ok(None);
                 }
-                let step = step.finish();
-                let told = Told {
-                    lengths: &|| step.observations.clone(),
-                    outcomes: step.outcomes.iter().collect(),
-                    results: step.steps().collect(),
-                    lasts: step.lasts.iter().flatten().collect(),
+                let running = |_: &Outcome| EnvironmentStateType::Running;
+                Ok(cycle.take().map(|step| stepped(step, running, wanted, specs)))
+            }
+            Episodes::Reach { batch, single } => {
+                let width = batch.settings().muscles();
+                let actions = || {
+                    let rows =
+                        |all: Vec<f64>| all.chunks_exact(width).map(<[f64]>::to_vec).collect();
+                    actions.take().map(rows)
                 };
-                Ok(Some(response(EnvironmentStateType::Running, wanted, specs, &told)))
+                if !self::advance(batch, reach, actions, groups)? {
+                    return Ok(None);
+                }
+                let state = |outcome: &ReachOutcome| match single {
+                    true => state_after(outcome.terminated(), outcome.truncated),
+                    false => EnvironmentStateType::Running,
+                };
+                let response = reach.take().map(|step| stepped(step, state, wanted, specs));
+                self.running = self.episodes.running();
+                Ok(response)
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_cut_from_rows() {
+        let rows = vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        assert_eq!(columns(rows.clone(), 3, 0..2), [1.0, 2.0, 4.0, 5.0]);
+        assert_eq!(columns(rows.clone(), 3, 2..3), [3.0, 6.0]);
+        assert_eq!(columns(rows.clone(), 3, 0..3), rows);
+        // No episode has ended.
+        assert!(columns(Vec::new(), 0, 0..2).is_empty());
     }
 }

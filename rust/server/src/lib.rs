@@ -39,6 +39,7 @@
 mod auth;
 mod codec;
 mod environment;
+mod episodes;
 #[cfg(feature = "otel")]
 mod export;
 mod intake;
@@ -46,6 +47,7 @@ mod limits;
 mod listener;
 mod log;
 mod metrics;
+mod next_reset;
 mod options;
 mod pool;
 mod properties;
@@ -58,6 +60,7 @@ mod sessions;
 mod settings;
 mod specs;
 mod state;
+mod task_settings;
 mod tensor;
 mod tls;
 mod tokens;

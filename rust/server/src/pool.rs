@@ -16,7 +16,7 @@ use crate::reply::Answer;
 use crate::world::failed;
 
 /// Time after which a job that has parts left lets the others have their turn.
-const TURN: Duration = Duration::from_millis(2);
+const TURN: Duration = Duration::from_millis(1);
 
 /// A part of a job's work; whether it was the last one.
 type Job = Box<dyn FnMut() -> bool + Send>;

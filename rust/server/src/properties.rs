@@ -1,12 +1,12 @@
 //! The properties extension: what can be read and written beside steps.
 
-use octoarm_arm::ArmState;
-use octoarm_env::{Outcome, Reading, Word};
+use octoarm_env::MUSCLES;
 use prost::Message as _;
 use prost_types::Any;
 use tonic::Code;
 
-use crate::environment::{Environment, Episodes};
+use crate::environment::Environment;
+use crate::episodes::Episodes;
 use crate::protocol::extensions::properties::property_request::Payload as Request;
 use crate::protocol::extensions::properties::property_response::Payload as Response;
 use crate::protocol::extensions::properties::{
@@ -16,7 +16,9 @@ use crate::protocol::extensions::properties::{
 use crate::protocol::{Tensor, TensorSpec};
 use crate::reply::{Answer, Refusal, quoted};
 use crate::state::{self, Form};
+use crate::task_settings::TaskName;
 use crate::tensor;
+use crate::world::failed;
 
 const REQUEST: &str = "dm_env_rpc.v1.extensions.properties.PropertyRequest";
 const RESPONSE: &str = "dm_env_rpc.v1.extensions.properties.PropertyResponse";
@@ -34,12 +36,15 @@ enum Property {
     TeacherAction,
     ArmPositions,
     ArmJoints,
+    Activations,
     ElapsedSteps,
+    /// Of every arm that reaches.
+    Elapsed,
     Seed,
     Begun,
     Ended,
-    /// What a step tells, as it stands now.
-    Word(usize),
+    /// What a step tells, as it stands now: its name, and its place among the words of the task.
+    Word(&'static str, usize),
     State,
     StateBytes,
 }
@@ -49,30 +54,13 @@ use Property as P;
 impl Property {
     /// Those of the server.
     const UNIVERSAL: [Self; 2] = [P::Version, P::Worlds];
-    /// Those of any joined world.
-    const JOINED: [Self; 19] = [
-        P::Settings,
-        P::ActionRange,
-        P::Amplitude,
-        P::Period,
-        P::Orbit,
-        P::TeacherAction,
-        P::ArmPositions,
-        P::ArmJoints,
-        P::Word(0),
-        P::Word(1),
-        P::Word(2),
-        P::Word(3),
-        P::Word(4),
-        P::Word(5),
-        P::Begun,
-        P::Ended,
-        P::Seed,
-        P::State,
-        P::StateBytes,
-    ];
-    /// That of a world with one arm.
-    const SINGLE: [Self; 1] = [P::ElapsedSteps];
+    /// Those of a joined world, before and after the words of its task.
+    const ARMS: [Self; 2] = [P::ArmPositions, P::ArmJoints];
+    const EPISODES: [Self; 5] = [P::Begun, P::Ended, P::Seed, P::State, P::StateBytes];
+    /// Those of arms that follow a target.
+    const CYCLE: [Self; 5] = [P::ActionRange, P::Amplitude, P::Period, P::Orbit, P::TeacherAction];
+    /// Those of arms that reach.
+    const REACH: [Self; 2] = [P::Activations, P::Elapsed];
 
     fn key(self) -> &'static str {
         match self {
@@ -86,11 +74,12 @@ impl Property {
             P::TeacherAction => "teacher_action",
             P::ArmPositions => "arm_positions",
             P::ArmJoints => "arm_joints",
-            P::ElapsedSteps => "elapsed_steps",
+            P::Activations => "activations",
+            P::ElapsedSteps | P::Elapsed => "elapsed_steps",
             P::Seed => "seed",
             P::Begun => "begun",
             P::Ended => "ended",
-            P::Word(place) => Outcome::INFO[place].name,
+            P::Word(name, _) => name,
             P::State => "state",
             P::StateBytes => "state_bytes",
         }
@@ -108,11 +97,15 @@ impl Property {
             P::TeacherAction => "The action of the lead-compensated clock now",
             P::ArmPositions => "Centres of the arm's planes, base first [m]",
             P::ArmJoints => "Ends of the longitudinal springs, base first [m]",
+            P::Activations => {
+                "How active the muscles are, from 0 to 1, five of every segment, base first"
+            }
+            P::Elapsed => "Steps of each arm's episode",
             P::ElapsedSteps => "Steps of the episode, which max_episode_steps ends",
             P::Seed => "Starts the generator of phases anew; of a batch, with the next reset",
             P::Begun => "Whether every arm has begun an episode",
             P::Ended => "Whether each arm's episode is over",
-            P::Word(_) => "As a step observes it, of the arms as they stand",
+            P::Word(..) => "As a step observes it, of the arms as they stand",
             P::State => "All that the episodes need to go on exactly where they stand, as JSON",
             P::StateBytes => "The same as state, as MessagePack",
         }
@@ -127,22 +120,39 @@ impl Property {
     }
 
     /// Those that there are for a stream that has joined this environment, or none.
-    fn known(environment: Option<&Environment>) -> impl Iterator<Item = Self> {
-        let single =
-            environment.is_some_and(|joined| matches!(joined.episodes, Episodes::Single(_)));
-        let joined = if environment.is_some() { &Self::JOINED[..] } else { &[] };
-        let single = if single { &Self::SINGLE[..] } else { &[] };
-        Self::UNIVERSAL.iter().chain(joined).chain(single).copied()
+    fn known(environment: Option<&Environment>) -> Vec<Self> {
+        let mut known = Self::UNIVERSAL.to_vec();
+        let Some(Environment { episodes, .. }) = environment else { return known };
+        let own = match episodes.task() {
+            TaskName::LimitCycle => &Self::CYCLE[..],
+            TaskName::Reach => &Self::REACH[..],
+        };
+        known.push(P::Settings);
+        known.extend(own.iter().chain(&Self::ARMS));
+        known.extend(
+            episodes.standing_words().into_iter().map(|(name, place)| P::Word(name, place)),
+        );
+        known.extend(Self::EPISODES);
+        if matches!(episodes, Episodes::Single(_)) {
+            known.push(P::ElapsedSteps);
+        }
+        known
     }
 
     fn find(key: &str, environment: Option<&Environment>) -> Answer<Self> {
-        Self::known(environment).find(|property| property.key() == key).ok_or_else(|| {
-            let known: Vec<&str> = Self::known(environment).map(Self::key).collect();
-            let more = if environment.is_none() { "; more when a world is joined" } else { "" };
-            let message =
-                format!("key = {} is unknown; known are {}{more}", quoted(key), known.join(", "));
-            Refusal::new(Code::NotFound, message)
-        })
+        Self::known(environment).into_iter().find(|property| property.key() == key).ok_or_else(
+            || {
+                let known: Vec<&str> =
+                    Self::known(environment).into_iter().map(Self::key).collect();
+                let more = if environment.is_none() { "; more when a world is joined" } else { "" };
+                let message = format!(
+                    "key = {} is unknown; known are {}{more}",
+                    quoted(key),
+                    known.join(", ")
+                );
+                Refusal::new(Code::NotFound, message)
+            },
+        )
     }
 }
 
@@ -156,85 +166,53 @@ fn read(property: Property, worlds: usize, joined: &Joined<'_>) -> Answer<Tensor
         (_, Some(environment)) => &environment.episodes,
         (_, None) => return Err(Refusal::precondition("no world is joined")),
     };
-    let swing = episodes.swing();
     let scalar = |value: f64| Ok(tensor::doubles(vec![value], &[]));
     let table = |rows: &[[f64; 2]]| {
         Ok(tensor::doubles(rows.as_flattened().to_vec(), &[rows.len() as i32, 2]))
     };
-    match (property, episodes) {
-        (P::Settings, _) => Ok(tensor::text(episodes.config().to_json()?)),
-        (P::Amplitude, _) => scalar(swing.orbit.amplitude()),
-        (P::Period, _) => scalar(swing.orbit.period()),
-        (P::Orbit, _) => table(swing.orbit.table()),
-        (P::ActionRange, Episodes::Single(episode)) => scalar(episode.action_range()),
-        (P::ActionRange, Episodes::Batch(batch)) => scalar(batch.action_ranges()[0]),
-        (P::TeacherAction, Episodes::Single(episode)) => {
+    let body = episodes.body();
+    let planes = body.compartments as i32 + 1;
+    match (property, episodes, episodes.swing()) {
+        (P::Settings, ..) => Ok(tensor::text(episodes.settings()?)),
+        (P::Amplitude, _, Some(swing)) => scalar(swing.orbit.amplitude()),
+        (P::Period, _, Some(swing)) => scalar(swing.orbit.period()),
+        (P::Orbit, _, Some(swing)) => table(swing.orbit.table()),
+        (P::ActionRange, Episodes::Single(episode), _) => scalar(episode.action_range()),
+        (P::ActionRange, Episodes::Batch(batch), _) => scalar(batch.action_ranges()[0]),
+        (P::TeacherAction, Episodes::Single(episode), _) => {
             Ok(tensor::doubles(episode.teacher_action().to_vec(), &[2]))
         }
-        (P::TeacherAction, Episodes::Batch(batch)) => table(&batch.teacher_actions()),
-        (P::Begun, _) => Ok(tensor::bools(vec![episodes.begun()], &[])),
-        (P::Ended, Episodes::Single(episode)) => Ok(tensor::bools(vec![episode.ended()], &[])),
-        (P::Ended, Episodes::Batch(batch)) => {
-            Ok(tensor::bools(batch.ended(), &rows(episodes, &[])))
+        (P::TeacherAction, Episodes::Batch(batch), _) => table(&batch.teacher_actions()),
+        (P::Activations, Episodes::Reach { batch, .. }, _) => {
+            let all = (0..batch.len()).flat_map(|index| batch.activations(index)).copied();
+            let shape = [batch.settings().segments as i32, MUSCLES as i32];
+            Ok(tensor::doubles(all.collect(), &episodes.rows(&shape)))
         }
-        (P::Word(place), _) => word(Outcome::INFO[place], episodes),
-        (P::State, _) => state::save(episodes, Form::Text),
-        (P::StateBytes, _) => state::save(episodes, Form::Bytes),
-        (P::ElapsedSteps, Episodes::Single(episode)) => {
+        (P::Begun, ..) => Ok(tensor::bools(vec![episodes.begun()], &[])),
+        (P::Ended, ..) => Ok(tensor::bools(episodes.ended(), &episodes.rows(&[]))),
+        (P::Word(_, place), ..) => episodes.word(place).ok_or_else(failed),
+        (P::State, ..) => state::save(episodes, Form::Text),
+        (P::StateBytes, ..) => state::save(episodes, Form::Bytes),
+        (P::ElapsedSteps, Episodes::Single(episode), _) => {
             Ok(tensor::integer(episode.elapsed().cast_signed()))
         }
-        (P::ArmPositions, _) => {
-            let arms = states(episodes);
-            let flat = arms.iter().flat_map(|arm| arm.positions().into_flattened()).collect();
-            Ok(tensor::doubles(flat, &rows(episodes, &[planes(episodes), 3])))
+        (P::Elapsed, Episodes::Reach { batch, .. }, _) => {
+            let elapsed = batch.elapsed().into_iter().map(|steps| steps as usize);
+            Ok(tensor::integers(elapsed, &episodes.rows(&[])))
         }
-        (P::ArmJoints, _) => {
-            let body = &episodes.config().arm;
-            let arms = states(episodes);
+        (P::ArmPositions, ..) => {
+            let arms = episodes.states();
+            let flat = arms.iter().flat_map(|arm| arm.positions().into_flattened()).collect();
+            Ok(tensor::doubles(flat, &episodes.rows(&[planes, 3])))
+        }
+        (P::ArmJoints, ..) => {
+            let arms = episodes.states();
             let joints = arms.iter().flat_map(|arm| arm.joints(body));
             let flat = joints.flatten().flatten().collect();
-            Ok(tensor::doubles(flat, &rows(episodes, &[planes(episodes), 4, 3])))
+            Ok(tensor::doubles(flat, &episodes.rows(&[planes, 4, 3])))
         }
         _ => {
             Err(Refusal::new(Code::PermissionDenied, format!("{} cannot be read", property.key())))
-        }
-    }
-}
-
-/// A shape for one arm, with the batch's size before it if there is one.
-fn rows(episodes: &Episodes, shape: &[i32]) -> Vec<i32> {
-    match episodes {
-        Episodes::Single(_) => shape.to_vec(),
-        Episodes::Batch(batch) => [&[batch.len() as i32], shape].concat(),
-    }
-}
-
-/// Number of an arm's planes.
-fn planes(episodes: &Episodes) -> i32 {
-    episodes.config().arm.compartments as i32 + 1
-}
-
-fn states(episodes: &Episodes) -> Vec<ArmState> {
-    match episodes {
-        Episodes::Single(episode) => vec![episode.state().arm],
-        Episodes::Batch(batch) => batch.arms().states(),
-    }
-}
-
-/// A word for all arms as they stand.
-fn word(word: Word, episodes: &Episodes) -> Answer<Tensor> {
-    let outcomes = episodes.outcomes();
-    let outcomes = outcomes.iter();
-    match word.reading {
-        Reading::Number(read) => {
-            Ok(tensor::doubles(outcomes.map(read).collect(), &rows(episodes, &[])))
-        }
-        Reading::Angles(read) => {
-            Ok(tensor::doubles(outcomes.flat_map(read).collect(), &rows(episodes, &[2])))
-        }
-        Reading::Index(read) => Ok(tensor::integers(outcomes.map(read), &rows(episodes, &[]))),
-        Reading::Flag(_) | Reading::Text(_) => {
-            Err(Refusal::new(Code::PermissionDenied, format!("{} cannot be read", word.name)))
         }
     }
 }
@@ -321,8 +299,7 @@ pub(crate) fn answer(request: &Any, worlds: usize, mut joined: Joined<'_>) -> An
                 let property = find(&request.key, &joined)?;
                 return Err(Refusal::invalid(format!("nothing lies below {:?}", property.key())));
             }
-            let known: Vec<Property> = Property::known(joined.as_deref()).collect();
-            let values = known
+            let values = Property::known(joined.as_deref())
                 .into_iter()
                 .map(|property| spec(property, worlds, &joined))
                 .collect::<Answer<_>>()?;

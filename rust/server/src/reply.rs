@@ -1,5 +1,7 @@
 //! How a request is refused.
 
+use std::fmt::Display;
+
 use octoarm_arm::ParameterError;
 use tonic::Code;
 
@@ -38,6 +40,11 @@ impl Refusal {
     /// A value that cannot be used.
     pub(crate) fn invalid(message: impl Into<String>) -> Self {
         Self::new(Code::InvalidArgument, message)
+    }
+
+    /// A value outside the range of what it is set for.
+    pub(crate) fn out_of_range(name: &str, value: impl Display, range: &str) -> Self {
+        Self::invalid(format!("{name} = {value} is outside the allowed range {range}"))
     }
 
     /// A request that does not fit where the stream stands.

@@ -15,6 +15,7 @@ use tracing::Span;
 use crate::codec::decode;
 use crate::environment::Environment;
 use crate::listener::Peer;
+use crate::next_reset::NextReset;
 use crate::properties;
 use crate::protocol::environment_request::Payload as Request;
 use crate::protocol::environment_response::Payload as Response;
@@ -26,9 +27,10 @@ use crate::protocol::{
 use crate::reply::{Answer, Refusal, quoted};
 use crate::sessions::{Activity, Sessions};
 use crate::settings::Limits;
+use crate::task_settings::TaskSettings;
 use crate::traces;
 use crate::world::{World, failed};
-use crate::world_settings::{NextReset, WorldSettings, memory, weight};
+use crate::world_settings::{WorldSettings, memory, weight};
 use crate::worlds::Agent;
 
 /// Longest work \[µs\] that is done where the stream is served; what takes longer must not keep the
@@ -67,30 +69,37 @@ impl Asked {
     }
 }
 
-/// An environment in the making: its swing, control period by control period, and then the rest.
+/// What the episodes of a world begin from, made part by part; false when there is nothing left to make.
+fn prepare(task: &mut TaskSettings, run: &mut Option<SwingRun>) -> Result<bool, ParameterError> {
+    match task {
+        TaskSettings::LimitCycle(config) => match run {
+            Some(run) => run.advance(),
+            None if Swing::kept(config).is_some() => Ok(false),
+            None => SwingRun::new(config).map(|begun| run.insert(begun)).map(|_| true),
+        },
+        TaskSettings::Reach(bodies) => bodies.advance(),
+    }
+}
+
+/// An environment in the making: its swing, control period by control period, or its bodies, one by one,
+/// and then the rest.
 fn made(
     settings: &mut Option<WorldSettings>,
     run: &mut Option<SwingRun>,
 ) -> Answer<Option<Environment>> {
     let Some(wanted) = settings else { return Err(failed()) };
-    let config = &wanted.config;
-    if run.is_some() || Swing::kept(config).is_none() {
-        let begin = Instant::now();
-        let late = move || begin.elapsed() > LONGEST_SEARCH;
-        let goes_on = octoarm_arm::interruptible(late, || match run {
-            Some(run) => run.advance(),
-            None => SwingRun::new(config).map(|begun| run.insert(begun)).map(|_| true),
-        });
-        let goes_on = goes_on.map_err(|error| match error {
-            ParameterError::Interrupted => Refusal::exhausted(format!(
-                "the rest state of this body was not found within {} s",
-                LONGEST_SEARCH.as_secs()
-            )),
-            error => error.into(),
-        })?;
-        if goes_on {
-            return Ok(None);
-        }
+    let begin = Instant::now();
+    let late = move || begin.elapsed() > LONGEST_SEARCH;
+    let goes_on = octoarm_arm::interruptible(late, || prepare(&mut wanted.task, run));
+    let goes_on = goes_on.map_err(|error| match error {
+        ParameterError::Interrupted => Refusal::exhausted(format!(
+            "the rest state of this body was not found within {} s",
+            LONGEST_SEARCH.as_secs()
+        )),
+        error => error.into(),
+    })?;
+    if goes_on {
+        return Ok(None);
     }
     let swings = run.take().map(SwingRun::keep);
     let environment = settings.take().map(Environment::new).transpose()?;
@@ -260,12 +269,14 @@ impl Session {
         self.sessions.refuse_while_draining()?;
         let (num_envs, count) = (settings.num_envs, settings.num_envs.unwrap_or(1));
         let finals = settings.autoreset == Autoreset::SameStep;
-        let arms = (count as f64 * weight(&settings.config)).ceil() as usize;
+        let arms = (count as f64 * weight(settings.task.arm())).ceil() as usize;
         let worlds = &self.sessions.worlds;
         let reservation = worlds.reserve(self.peer.connection, arms, memory(&settings))?;
-        let microseconds = match Swing::kept(&settings.config) {
-            Some(_) => count as f64 * MICROSECONDS_AN_ARM,
-            None => f64::INFINITY,
+        let microseconds = match &settings.task {
+            TaskSettings::LimitCycle(config) if Swing::kept(config).is_some() => {
+                count as f64 * MICROSECONDS_AN_ARM
+            }
+            _ => f64::INFINITY,
         };
         let (mut settings, mut run) = (Some(settings), None);
         let mut reservation = Some(reservation);
@@ -335,13 +346,15 @@ impl Session {
 
     fn reset(&self, request: &ResetRequest) -> Answer<ResetResponse> {
         let world = &self.agent()?.world;
-        let next = NextReset::from_tensors(&request.settings, world.specs.num_envs())?;
+        let next = NextReset::from_tensors(&request.settings, world.task, world.specs.num_envs())?;
         world.environment()?.reset(next);
         Ok(ResetResponse { specs: Some(world.specs.message.clone()) })
     }
 
     async fn reset_world(&self, request: &ResetWorldRequest) -> Answer<ResetWorldResponse> {
-        let next = NextReset::from_tensors(&request.settings, None)?;
+        // One that there is not is refused below.
+        let task = self.sessions.worlds.task(&request.world_name).unwrap_or_default();
+        let next = NextReset::from_tensors(&request.settings, task, None)?;
         let own = self.agent().ok().map(|agent| Arc::clone(&agent.world));
         if let Some(world) = own.as_ref().filter(|world| world.name == request.world_name) {
             let mut environment = world.environment()?;

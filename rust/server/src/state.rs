@@ -5,7 +5,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tonic::Code;
 
-use crate::environment::{Environment, Episodes};
+use crate::environment::Environment;
+use crate::episodes::Episodes;
 use crate::protocol::Tensor;
 use crate::protocol::tensor::{Payload, StringArray, Uint8Array};
 use crate::reply::{Answer, Refusal};
@@ -69,6 +70,7 @@ pub(crate) fn save(episodes: &Episodes, form: Form) -> Answer<Tensor> {
     match episodes {
         Episodes::Single(episode) => write(&episode.state(), form),
         Episodes::Batch(batch) => write(&batch.state(), form),
+        Episodes::Reach { batch, .. } => write(&batch.state(), form),
     }
 }
 
@@ -77,6 +79,7 @@ pub(crate) fn load(environment: &mut Environment, value: &Tensor, form: Form) ->
     let done = match &mut environment.episodes {
         Episodes::Single(episode) => episode.set_state(&read(value, form)?),
         Episodes::Batch(batch) => batch.set_state(&read(value, form)?),
+        Episodes::Reach { batch, .. } => batch.set_state(&read(value, form)?),
     };
     done.map_err(|error| refused(error, form))?;
     environment.restored();

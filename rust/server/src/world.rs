@@ -6,10 +6,11 @@ use tokio::sync::oneshot;
 use tonic::Code;
 
 use crate::environment::{Advance, Environment};
+use crate::next_reset::NextReset;
 use crate::protocol::{EnvironmentStateType, StepRequest, StepResponse};
 use crate::reply::{Answer, Refusal};
-use crate::specs::{Observation, Specs};
-use crate::world_settings::NextReset;
+use crate::specs::Specs;
+use crate::task_settings::TaskName;
 
 /// A computation has failed.
 pub(crate) fn failed() -> Refusal {
@@ -19,10 +20,10 @@ pub(crate) fn failed() -> Refusal {
 /// A step of a world, which may be made in parts.
 #[derive(Debug)]
 pub(crate) struct Step {
-    /// Observations that it is to bring.
-    wanted: Vec<(u64, Observation)>,
+    /// Observations that it is to bring, by their places.
+    wanted: Vec<usize>,
     /// Where an episode begins they are ignored, and what is wrong with them too.
-    actions: Option<Answer<Option<Vec<[f64; 2]>>>>,
+    actions: Option<Answer<Option<Vec<f64>>>>,
     /// The control period, when it has begun.
     advance: Option<Advance>,
 }
@@ -33,6 +34,8 @@ pub(crate) struct Step {
 pub(crate) struct World {
     /// Not to be guessed.
     pub(crate) name: String,
+    /// What its arms do.
+    pub(crate) task: TaskName,
     /// What can be done and seen.
     pub(crate) specs: Specs,
     /// Number of arms.
@@ -56,12 +59,8 @@ impl World {
         let episodes = &environment.episodes;
         Self {
             name,
-            specs: Specs::new(
-                episodes.config(),
-                episodes.swing().orbit.amplitude(),
-                num_envs,
-                finals,
-            ),
+            task: episodes.task(),
+            specs: Specs::new(episodes.specs(), num_envs, finals),
             arms: episodes.len(),
             microseconds: episodes.microseconds(),
             environment: Mutex::new(environment),

@@ -7,10 +7,11 @@ use tokio::sync::oneshot;
 use tonic::Code;
 
 use crate::metrics::Metrics;
+use crate::next_reset::NextReset;
 use crate::reply::{Answer, Refusal, quoted};
 use crate::settings::Limits;
+use crate::task_settings::TaskName;
 use crate::world::World;
-use crate::world_settings::NextReset;
 
 /// A world's share of what the server allows, from before it is made until it is gone.
 #[derive(Debug)]
@@ -166,6 +167,11 @@ impl Worlds {
             waiting: false,
         };
         self.list().insert(entry.world.name.clone(), entry);
+    }
+
+    /// What the arms of a world do.
+    pub(crate) fn task(&self, name: &str) -> Option<TaskName> {
+        self.list().get(name).map(|entry| entry.world.task)
     }
 
     /// Joins a world that nobody else has joined.

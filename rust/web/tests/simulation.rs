@@ -76,7 +76,8 @@ fn noise_on_the_lengths_shakes_the_loop() {
 fn another_body_goes_on_where_the_one_before_was() {
     let mut simulation = taught(1e-6);
     let before = simulation.arm().state();
-    let stiffer = ArmParameters { longitudinal_stiffness: 200.0, ..ArmParameters::default() };
+    let stiffer =
+        ArmParameters { longitudinal_stiffness: 200.0.into(), ..ArmParameters::default() };
     simulation.set_body(stiffer.clone()).expect("body");
     assert_eq!(simulation.arm().state(), before);
     assert_eq!(simulation.driver(), Driver::Readout);

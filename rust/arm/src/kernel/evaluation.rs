@@ -190,7 +190,7 @@ pub(crate) fn outward<const L: usize>(
     }
     for c in stretch {
         water::external(
-            &body.material,
+            body.material(c),
             &body.rest[c],
             &coordinates[c],
             gather_floor::<L>(body, coordinates, rates, c, floors),
@@ -222,7 +222,7 @@ pub(crate) fn inward<const L: usize>(
         if let Some(c) = c.checked_sub(1) {
             let bottom = &mut bottoms[c % 2];
             springs::forces(
-                &body.material,
+                body.material(c),
                 &body.rest[c],
                 &muscles[c],
                 &coordinates[c],
@@ -242,7 +242,7 @@ pub(crate) fn inward<const L: usize>(
             articulated::inward::<L>(
                 in_chunk::<L>(body.compartments, c),
                 &mut carried,
-                &body.material,
+                body.material(c),
                 &coordinates[c],
                 plane,
                 angles,
@@ -254,7 +254,7 @@ pub(crate) fn inward<const L: usize>(
             let Link { motion, radial, .. } = &mut links[c];
             let above = springs::above::<L>(&bottoms[c % 2], &bottoms[(c + 1) % 2], gathered);
             let (q, u) = (&coordinates[c], &rates[c]);
-            plane::assemble(&body.material, q, u, motion, top, above, plane, radial);
+            plane::assemble(body.material(c), q, u, motion, top, above, plane, radial);
         }
     }
 }

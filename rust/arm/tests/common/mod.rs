@@ -2,7 +2,7 @@
 //! bits.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
-use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState};
+use octoarm_arm::{Actuator, Arm, ArmParameters, ArmState, PerCompartment};
 
 /// An arm of this body in this state.
 pub fn arm_in(parameters: &ArmParameters, actuator: Actuator, state: &ArmState) -> Arm {
@@ -74,5 +74,28 @@ impl SplitMix64 {
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^= z >> 31;
         (z >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// The body with stiffness, damping and masses that differ from compartment to compartment.
+pub fn uneven(parameters: &ArmParameters, seed: u64) -> ArmParameters {
+    let mut x = seed.wrapping_add(11);
+    let mut list = |nominal: f64, low: f64, high: f64| -> PerCompartment {
+        let share = |x: &mut u64| 0.5 + 0.5 * congruential(x);
+        (0..parameters.compartments)
+            .map(|_| nominal * (low + (high - low) * share(&mut x)))
+            .collect::<Vec<_>>()
+            .into()
+    };
+    ArmParameters {
+        longitudinal_stiffness: list(196.0, 0.6, 1.2),
+        transverse_stiffness: list(1570.0, 0.6, 1.2),
+        longitudinal_damping: list(1.0, 0.5, 1.1),
+        transverse_damping: list(1.0, 0.5, 1.1),
+        longitudinal_mass: list(1.25e-3, 1.0, 1.5),
+        transverse_mass: list(1.25e-3, 1.0, 1.5),
+        plane_mass: list(0.01, 0.0, 1.0),
+        plane_inertia: list(1e-6, 0.0, 1.0),
+        ..parameters.clone()
     }
 }

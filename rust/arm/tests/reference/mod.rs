@@ -151,9 +151,9 @@ impl Reference {
         let mut mass_matrix = DMatrix::zeros(size, size);
         let mut force = DVector::zeros(size);
 
-        let joint_mass = self.joint_mass();
         for (j, plane) in planes.iter().enumerate().skip(1) {
             let load = &loads[j];
+            let joint_mass = self.joint_mass(j);
             for i in 0..4 {
                 let joint = &plane.joints[i];
                 let mut columns = carried(&planes, j, &joint.position);
@@ -164,12 +164,12 @@ impl Reference {
             }
 
             let columns = carried(&planes, j, &plane.centre.position);
-            let plane_mass = self.parameters.plane_mass;
+            let plane_mass = self.parameters.plane_mass.at(j - 1);
             let applied = load.centre - plane_mass * plane.centre.bias;
             project(&columns, &applied, &mut force);
             accumulate(&columns, &(plane_mass * Matrix3::identity()), &mut mass_matrix);
 
-            let inertia = self.plane_inertia(plane);
+            let inertia = self.plane_inertia(j, plane);
             let columns = turned(&planes, j);
             let momentum = inertia * plane.spin;
             let applied = -(inertia * plane.spin_bias + plane.spin.cross(&momentum));
@@ -234,16 +234,18 @@ impl Reference {
 
     /// Kinetic energy \[J\].
     pub fn kinetic_energy(&self, base: &BaseSample) -> f64 {
-        let joint_mass = self.joint_mass();
         self.planes(base)
             .iter()
+            .enumerate()
             .skip(1)
-            .map(|plane| {
+            .map(|(j, plane)| {
                 let joints: f64 =
                     plane.joints.iter().map(|joint| joint.velocity.norm_squared()).sum();
-                0.5 * joint_mass * joints
-                    + 0.5 * self.parameters.plane_mass * plane.centre.velocity.norm_squared()
-                    + 0.5 * plane.spin.dot(&(self.plane_inertia(plane) * plane.spin))
+                0.5 * self.joint_mass(j) * joints
+                    + 0.5
+                        * self.parameters.plane_mass.at(j - 1)
+                        * plane.centre.velocity.norm_squared()
+                    + 0.5 * plane.spin.dot(&(self.plane_inertia(j, plane) * plane.spin))
             })
             .sum()
     }
@@ -254,11 +256,14 @@ impl Reference {
         let longitudinal: f64 = self
             .lengths([0.0; 2])
             .iter()
-            .map(|length| 0.5 * p.longitudinal_stiffness * (length - p.rest_length).powi(2))
+            .enumerate()
+            .map(|(spring, length)| {
+                0.5 * p.longitudinal_stiffness.at(spring / 4) * (length - p.rest_length).powi(2)
+            })
             .sum();
         let transverse: f64 = (1..=self.coordinates.len())
-            .flat_map(|j| self.coordinates[j - 1][3..].iter().map(move |r| r - p.rest_radius(j)))
-            .map(|stretch| 0.5 * p.transverse_stiffness * stretch * stretch)
+            .flat_map(|j| self.coordinates[j - 1][3..].iter().map(move |r| (j, r)))
+            .map(|(j, r)| 0.5 * p.transverse_stiffness.at(j - 1) * (r - p.rest_radius(j)).powi(2))
             .sum();
         longitudinal + transverse
     }
@@ -348,15 +353,16 @@ impl Reference {
         planes
     }
 
-    /// What moves with every joint: the transverse spring and a share of the longitudinal one.
-    fn joint_mass(&self) -> f64 {
+    /// What moves with every joint of plane `j`: the transverse spring and a share of the longitudinal
+    /// one.
+    fn joint_mass(&self, j: usize) -> f64 {
         let p = &self.parameters;
-        p.transverse_mass + p.longitudinal_mass * p.longitudinal_mass_share
+        p.transverse_mass.at(j - 1) + p.longitudinal_mass.at(j - 1) * p.longitudinal_mass_share
     }
 
     /// A plane's inertia tensor about its centre, without the joint masses, world frame.
-    fn plane_inertia(&self, plane: &Plane) -> Matrix3<f64> {
-        let inertia = self.parameters.plane_inertia;
+    fn plane_inertia(&self, j: usize, plane: &Plane) -> Matrix3<f64> {
+        let inertia = self.parameters.plane_inertia.at(j - 1);
         let local = Matrix3::from_diagonal(&Vector3::new(inertia, inertia, 2.0 * inertia));
         plane.rotation * local * plane.rotation.transpose()
     }
@@ -431,12 +437,13 @@ impl Reference {
                 std::array::from_fn(|i| spring(&floor.joints[i], &ceiling.joints[i]));
             // What every spring does by itself, pushing positive.
             let longitudinal: [f64; 4] = std::array::from_fn(|i| {
-                -p.longitudinal_stiffness * (springs[i].length - p.rest_length)
-                    - p.longitudinal_damping * springs[i].rate
+                -p.longitudinal_stiffness.at(index) * (springs[i].length - p.rest_length)
+                    - p.longitudinal_damping.at(index) * springs[i].rate
             });
             let transverse: [f64; 4] = std::array::from_fn(|i| {
                 let stretch = self.coordinates[index][3 + i] - p.rest_radius(j);
-                -p.transverse_stiffness * stretch - p.transverse_damping * self.rates[index][3 + i]
+                -p.transverse_stiffness.at(index) * stretch
+                    - p.transverse_damping.at(index) * self.rates[index][3 + i]
             });
 
             // Eqs. 7 and 8.

@@ -169,6 +169,50 @@ fn who_leaves_can_join_again_and_begins_anew() {
 }
 
 #[test]
+fn a_world_that_reaches_is_made_in_parts_stepped_and_freed() {
+    run(async {
+        let sessions = sessions(limits());
+        let mut session = open(&sessions);
+        let world = create(
+            &mut session,
+            &[
+                ("task", text("reach")),
+                ("num_envs", integer(9)),
+                ("bodies", integer(3)),
+                ("vary.arm_density", doubles(vec![0.9, 1.0], &[2])),
+                ("arm.compartments", integer(3)),
+                ("segments", integer(2)),
+                ("max_episode_steps", integer(2)),
+            ],
+        )
+        .await;
+        assert!(sessions.metrics.world_bytes.get() > 9 * 1024);
+        assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
+        assert_eq!(state(&mut session).await, State::Running);
+        let action = |value: f64, width: i32| {
+            let action = doubles(vec![value; 9 * width as usize], &[9, width]);
+            let actions = BTreeMap::from([(1, action)]);
+            Request::Step(StepRequest { actions, requested_observations: vec![2, 10] })
+        };
+        for (wrong, width) in [(1.5, 10), (-0.5, 10), (f64::NAN, 10), (0.5, 9)] {
+            assert_eq!(code(&mut session, action(wrong, width)).await, Code::InvalidArgument);
+        }
+        for truncated in [false, true, false] {
+            let Ok(Response::Step(step)) = ask(&mut session, action(0.5, 10)).await else {
+                panic!("a step")
+            };
+            assert_eq!(step.state(), State::Running);
+            let Some(Payload::Bools(ends)) = &step.observations[&10].payload else {
+                panic!("flags")
+            };
+            assert_eq!(ends.array, [truncated; 9]);
+        }
+        drop(session);
+        assert_eq!((sessions.worlds.len(), sessions.metrics.world_bytes.get()), (0, 0));
+    });
+}
+
+#[test]
 fn a_reset_world_waits_for_the_client_that_has_joined() {
     run(async {
         let sessions = sessions(limits());
@@ -428,8 +472,14 @@ fn any_tensor() -> impl Strategy<Value = Tensor> {
 
 fn any_settings() -> impl Strategy<Value = BTreeMap<String, Tensor>> {
     let name = "(target|amplitude|control_period|seed|phase|num_envs|threads|max_episode_steps|\
-                actuator|arm|arm\\.compartments|arm\\.timestep|arm\\.gravity|\\PC{0,6})";
-    btree_map(name, any_tensor(), 0..3)
+                actuator|arm|arm\\.compartments|arm\\.timestep|arm\\.gravity|goal|goals|segments|\\PC{0,6})";
+    let task = prop_oneof![Just(None), Just(Some("reach"))];
+    (btree_map(name, any_tensor(), 0..3), task).prop_map(|(mut settings, task)| {
+        if let Some(task) = task {
+            settings.insert("task".to_owned(), text(task));
+        }
+        settings
+    })
 }
 
 /// Any request; worlds are named `*`, which stands for one that there is.
