@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import shutil
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,13 @@ def mend_links(app: Sphinx, doctree: nodes.document) -> None:
             reference.replace_self(reference.children)
 
 
+def copy_page(app: Sphinx, error: Exception | None) -> None:
+    """Put the arm in the browser beside the pages, of which web.md shows it."""
+    if error is None and app.builder.format == "html":
+        page = Path(__file__).parents[1] / "agents" / "octoarm_agents" / "web" / "page"
+        shutil.copytree(page, Path(app.outdir) / "arm", dirs_exist_ok=True)
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
     app.connect("source-read", insert_docstrings)
@@ -132,3 +140,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", keep_colons, priority=400)
     app.connect("autodoc-process-signature", shorten_defaults)
     app.connect("doctree-read", mend_links)
+    app.connect("build-finished", copy_page)

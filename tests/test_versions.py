@@ -22,9 +22,10 @@ def test_one_version() -> None:
     version = workspace["package"]["version"]
     assert octoarm_env.__version__ == agents == version
     assert json.loads(read_page("rust/server/examples/node/package.json"))["version"] == version
+    assert json.loads(read_page("rust/web/page/package.json"))["version"] == version
     for crate in ("octoarm-arm", "octoarm-env"):
         assert workspace["dependencies"][crate]["version"] == version
-    for crate in ("arm", "env", "python", "server"):
+    for crate in ("arm", "env", "python", "server", "web", "web/bind"):
         assert toml(f"rust/{crate}/Cargo.toml")["package"]["version"] == {"workspace": True}
 
 

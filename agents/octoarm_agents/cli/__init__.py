@@ -24,6 +24,7 @@ from octoarm_agents.cli import (
     train,
     tune,
     watch,
+    web,
 )
 
 __all__ = ["app", "main"]
@@ -37,7 +38,7 @@ app = typer.Typer(
 
 for panel, commands in (
     ("Learn", (train.train, tune.tune, evaluate.evaluate, compare.compare, dataset.dataset)),
-    ("See", (watch.watch, record.record)),
+    ("See", (watch.watch, record.record, web.web)),
     ("The body", (demo.demo, reproduce.reproduce)),
     ("Serve and time", (benchmark.benchmark,)),
 ):

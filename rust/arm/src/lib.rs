@@ -42,6 +42,7 @@ mod kernel;
 mod lanes;
 mod linearise;
 pub mod memory;
+mod multiply_add;
 mod parameters;
 mod per_compartment;
 mod posture;

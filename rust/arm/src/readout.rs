@@ -2,6 +2,7 @@
 
 use crate::error::ParameterError;
 use crate::instruction_set::{Supported, compiled_for_each_set};
+use crate::multiply_add::MultiplyAdd;
 
 /// A static linear readout of the spring lengths (Eq. 18, Eq. 26).
 #[derive(Clone, Debug, PartialEq)]
@@ -44,8 +45,8 @@ impl LinearReadout {
     fn sum(&self, lengths: &[f64]) -> [f64; 2] {
         let mut sum = self.bias;
         for (weight, length) in self.weights.iter().zip(lengths) {
-            sum[0] = weight[0].mul_add(*length, sum[0]);
-            sum[1] = weight[1].mul_add(*length, sum[1]);
+            sum[0] = weight[0].madd(*length, sum[0]);
+            sum[1] = weight[1].madd(*length, sum[1]);
         }
         sum
     }

@@ -8,6 +8,7 @@ use crate::kernel::{
     STRETCH, WIDTH, Workspace, accelerations, inward, lane_row, outward, place, set_lane,
     spring_lengths,
 };
+use crate::multiply_add::MultiplyAdd;
 use crate::parameters::{ArmParameters, BaseCoupling};
 use crate::state::COORDINATES;
 
@@ -50,7 +51,7 @@ struct Shares {
 fn axpy(factor: &Row, x: &Block, y: &Block, out: &mut Block) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor[k].mul_add(x.0[row][k], y.0[row][k]);
+            out.0[row][k] = factor[k].madd(x.0[row][k], y.0[row][k]);
         }
     }
 }
@@ -60,7 +61,7 @@ fn axpy(factor: &Row, x: &Block, y: &Block, out: &mut Block) {
 fn accumulate(factor: &Row, x: &Block, out: &mut Block) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor[k].mul_add(x.0[row][k], out.0[row][k]);
+            out.0[row][k] = factor[k].madd(x.0[row][k], out.0[row][k]);
         }
     }
 }

@@ -7,6 +7,8 @@
 
 use std::f64::consts::FRAC_2_PI;
 
+use crate::multiply_add::MultiplyAdd;
+
 /// `π/2` in two parts: with fused multiply-adds the reduced angle is off by less than 10⁻³² a quadrant.
 const HALF_PI_HIGH: f64 = f64::from_bits(0x3FF9_21FB_5444_2D18);
 const HALF_PI_MIDDLE: f64 = f64::from_bits(0x3C91_A626_3314_5C07);
@@ -47,24 +49,24 @@ const ATAN: [f64; 11] = [
 #[inline(always)]
 #[must_use]
 pub fn sin_cos(angle: f64) -> (f64, f64) {
-    let shifted = angle.mul_add(FRAC_2_PI, ROUND);
+    let shifted = angle.madd(FRAC_2_PI, ROUND);
     let quadrant = shifted.to_bits();
     let turns = shifted - ROUND;
-    let x = (-turns).mul_add(HALF_PI_HIGH, angle);
-    let x = (-turns).mul_add(HALF_PI_MIDDLE, x);
+    let x = (-turns).madd(HALF_PI_HIGH, angle);
+    let x = (-turns).madd(HALF_PI_MIDDLE, x);
     // Even and odd powers of z apart: two chains half as long.
     let z = x * x;
     let w = z * z;
 
-    let even = SIN[1].mul_add(w, SIN[3]).mul_add(w, SIN[5]);
-    let odd = SIN[0].mul_add(w, SIN[2]).mul_add(w, SIN[4]);
-    let sine = (z * x).mul_add(odd.mul_add(z, even), x);
+    let even = SIN[1].madd(w, SIN[3]).madd(w, SIN[5]);
+    let odd = SIN[0].madd(w, SIN[2]).madd(w, SIN[4]);
+    let sine = (z * x).madd(odd.madd(z, even), x);
 
-    let even = COS[1].mul_add(w, COS[3]).mul_add(w, COS[5]);
-    let odd = COS[0].mul_add(w, COS[2]).mul_add(w, COS[4]);
+    let even = COS[1].madd(w, COS[3]).madd(w, COS[5]);
+    let odd = COS[0].madd(w, COS[2]).madd(w, COS[4]);
     let half = 0.5 * z;
     let near_one = 1.0 - half;
-    let cosine = near_one + w.mul_add(odd.mul_add(z, even), (1.0 - near_one) - half);
+    let cosine = near_one + w.madd(odd.madd(z, even), (1.0 - near_one) - half);
 
     let swap = quadrant & 1 != 0;
     let (a, b) = if swap { (cosine, sine) } else { (sine, cosine) };
@@ -80,16 +82,16 @@ pub fn atan_small(x: f64) -> f64 {
     // Even and odd powers of z apart: two chains half as long.
     let z = x * x;
     let w = z * z;
-    let even = ATAN[0].mul_add(w, ATAN[2]);
-    let even = even.mul_add(w, ATAN[4]);
-    let even = even.mul_add(w, ATAN[6]);
-    let even = even.mul_add(w, ATAN[8]);
-    let even = even.mul_add(w, ATAN[10]);
-    let odd = ATAN[1].mul_add(w, ATAN[3]);
-    let odd = odd.mul_add(w, ATAN[5]);
-    let odd = odd.mul_add(w, ATAN[7]);
-    let odd = odd.mul_add(w, ATAN[9]);
-    (-(x * z)).mul_add(odd.mul_add(z, even), x)
+    let even = ATAN[0].madd(w, ATAN[2]);
+    let even = even.madd(w, ATAN[4]);
+    let even = even.madd(w, ATAN[6]);
+    let even = even.madd(w, ATAN[8]);
+    let even = even.madd(w, ATAN[10]);
+    let odd = ATAN[1].madd(w, ATAN[3]);
+    let odd = odd.madd(w, ATAN[5]);
+    let odd = odd.madd(w, ATAN[7]);
+    let odd = odd.madd(w, ATAN[9]);
+    (-(x * z)).madd(odd.madd(z, even), x)
 }
 
 /// `exp(-x)` for `x >= 0`: Taylor's series on a halved argument, squared back.

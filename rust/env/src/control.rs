@@ -7,7 +7,8 @@ const WIDTH: usize = ArmLanes::WIDTH;
 /// The command \[degrees\] of physics step `step` (counted from 1) of the `steps` in a control period:
 /// a servo takes the command as it is; a base driven `direct` moves there from `start` at constant
 /// speed.
-pub(crate) fn command_at(
+#[must_use]
+pub fn command_at(
     actuator: Actuator,
     start: [f64; 2],
     command: [f64; 2],

@@ -3,8 +3,8 @@
 use rand_core::Rng;
 use rand_pcg::Pcg64;
 
-/// A number in [0, 1), uniform.
-pub(crate) fn share(generator: &mut Pcg64) -> f64 {
+/// A number in \[0, 1), uniform.
+pub fn share(generator: &mut Pcg64) -> f64 {
     (generator.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 

@@ -49,6 +49,8 @@ mod workers;
 
 pub use arm_batch::{ArmBatch, Stop};
 pub use config::{CheckedConfig, EpisodeConfig};
+pub use control::command_at;
+pub use draw::share;
 pub use episode::Episode;
 pub use episode_batch::{
     Autoreset, BatchReset, BatchState, BatchStep, EpisodeBatch, Last, PartialStep,

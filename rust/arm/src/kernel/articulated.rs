@@ -8,6 +8,8 @@
 
 use std::ops::Range;
 
+use crate::multiply_add::MultiplyAdd;
+
 use super::body::Material;
 use super::kinematics::Angles;
 use super::plane::Plane;
@@ -96,8 +98,8 @@ pub(crate) fn inward<const L: usize>(
             let k = slot + lane;
             let (jx, jy) = (plane.inertia[0][k], plane.inertia[1][k]);
             let (sx, sy) = (plane.moment[0][k], plane.moment[1][k]);
-            let mass = 2.0f64.mul_add(material.joint_mass[k], material.plane_mass[k]);
-            let mass_z = 2.0f64.mul_add(material.joint_mass[k], mass);
+            let mass = 2.0f64.madd(material.joint_mass[k], material.plane_mass[k]);
+            let mass_z = 2.0f64.madd(material.joint_mass[k], mass);
 
             // The plane itself, on what its child hands down.
             let j_xx = carried.j_xx[lane] + jx;
@@ -123,28 +125,26 @@ pub(crate) fn inward<const L: usize>(
             // v = c (zz − xx) − 2 s xz.
             let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
             let difference = j_zz - j_xx;
-            let w = s.mul_add(difference, (c + c) * j_xz);
-            let v = c.mul_add(difference, -((s + s) * j_xz));
-            let j_xx = s.mul_add(w, j_xx);
-            let j_zz = (-s).mul_add(w, j_zz);
-            let j_xz = s.mul_add(v, j_xz);
-            let (j_xy, j_yz) = (c.mul_add(j_xy, s * j_yz), c.mul_add(j_yz, -(s * j_xy)));
+            let w = s.madd(difference, (c + c) * j_xz);
+            let v = c.madd(difference, -((s + s) * j_xz));
+            let j_xx = s.madd(w, j_xx);
+            let j_zz = (-s).madd(w, j_zz);
+            let j_xz = s.madd(v, j_xz);
+            let (j_xy, j_yz) = (c.madd(j_xy, s * j_yz), c.madd(j_yz, -(s * j_xy)));
             // What the child hands down has no column z; the plane's own part is the cross product
             // with its first moment, which turns to (c s_x, s_y, −s s_x).
             let (turned_x, turned_z) = (c * sx, s * sx);
-            let (a, b) = (c.mul_add(h_xx, s * h_zx), c.mul_add(h_zx, -(s * h_xx)));
-            let (h_xx, h_xz) = (c * a, (-s).mul_add(a, sy));
-            let (h_zx, h_zz) = (c.mul_add(b, -sy), -(s * b));
-            let (h_xy, h_zy) = (
-                c.mul_add(h_xy, s.mul_add(h_zy, turned_z)),
-                c.mul_add(h_zy, (-s).mul_add(h_xy, turned_x)),
-            );
-            let (h_yx, h_yz) = (c.mul_add(h_yx, -turned_z), -(s.mul_add(h_yx, turned_x)));
+            let (a, b) = (c.madd(h_xx, s * h_zx), c.madd(h_zx, -(s * h_xx)));
+            let (h_xx, h_xz) = (c * a, (-s).madd(a, sy));
+            let (h_zx, h_zz) = (c.madd(b, -sy), -(s * b));
+            let (h_xy, h_zy) =
+                (c.madd(h_xy, s.madd(h_zy, turned_z)), c.madd(h_zy, (-s).madd(h_xy, turned_x)));
+            let (h_yx, h_yz) = (c.madd(h_yx, -turned_z), -(s.madd(h_yx, turned_x)));
             let d = s * (mass_z - m_xx);
-            let (m_xx, m_xz, m_zz) = (s.mul_add(d, m_xx), c * d, (-s).mul_add(d, mass_z));
+            let (m_xx, m_xz, m_zz) = (s.madd(d, m_xx), c * d, (-s).madd(d, mass_z));
             let (m_xy, m_yz) = (c * m_xy, -(s * m_xy));
-            let (n_x, n_z) = (c.mul_add(n_x, s * n_z), c.mul_add(n_z, -(s * n_x)));
-            let (f_x, f_z) = (c.mul_add(f_x, s * f_z), c.mul_add(f_z, -(s * f_x)));
+            let (n_x, n_z) = (c.madd(n_x, s * n_z), c.madd(n_z, -(s * n_x)));
+            let (f_x, f_z) = (c.madd(f_x, s * f_z), c.madd(f_z, -(s * f_x)));
 
             // Joint about y.
             let inverse = 1.0 / j_yy;
@@ -156,26 +156,26 @@ pub(crate) fn inward<const L: usize>(
             out.about_y[3][k] = ux;
             out.about_y[4][k] = uy;
             out.about_y[5][k] = uz;
-            let j_xx = (-tx).mul_add(j_xy, j_xx);
-            let j_xz = (-tx).mul_add(j_yz, j_xz);
-            let j_zz = (-tz).mul_add(j_yz, j_zz);
-            let h_xx = (-tx).mul_add(h_yx, h_xx);
-            let h_xy = (-tx).mul_add(h_yy, h_xy);
-            let h_xz = (-tx).mul_add(h_yz, h_xz);
-            let h_zx = (-tz).mul_add(h_yx, h_zx);
-            let h_zy = (-tz).mul_add(h_yy, h_zy);
-            let h_zz = (-tz).mul_add(h_yz, h_zz);
-            let m_xx = (-ux).mul_add(h_yx, m_xx);
-            let m_xy = (-ux).mul_add(h_yy, m_xy);
-            let m_xz = (-ux).mul_add(h_yz, m_xz);
-            let m_yy = (-uy).mul_add(h_yy, m_yy);
-            let m_yz = (-uy).mul_add(h_yz, m_yz);
-            let m_zz = (-uz).mul_add(h_yz, m_zz);
-            let n_x = (-tx).mul_add(n_y, n_x);
-            let n_z = (-tz).mul_add(n_y, n_z);
-            let f_x = (-ux).mul_add(n_y, f_x);
-            let f_y = (-uy).mul_add(n_y, f_y);
-            let f_z = (-uz).mul_add(n_y, f_z);
+            let j_xx = (-tx).madd(j_xy, j_xx);
+            let j_xz = (-tx).madd(j_yz, j_xz);
+            let j_zz = (-tz).madd(j_yz, j_zz);
+            let h_xx = (-tx).madd(h_yx, h_xx);
+            let h_xy = (-tx).madd(h_yy, h_xy);
+            let h_xz = (-tx).madd(h_yz, h_xz);
+            let h_zx = (-tz).madd(h_yx, h_zx);
+            let h_zy = (-tz).madd(h_yy, h_zy);
+            let h_zz = (-tz).madd(h_yz, h_zz);
+            let m_xx = (-ux).madd(h_yx, m_xx);
+            let m_xy = (-ux).madd(h_yy, m_xy);
+            let m_xz = (-ux).madd(h_yz, m_xz);
+            let m_yy = (-uy).madd(h_yy, m_yy);
+            let m_yz = (-uy).madd(h_yz, m_yz);
+            let m_zz = (-uz).madd(h_yz, m_zz);
+            let n_x = (-tx).madd(n_y, n_x);
+            let n_z = (-tz).madd(n_y, n_z);
+            let f_x = (-ux).madd(n_y, f_x);
+            let f_y = (-uy).madd(n_y, f_y);
+            let f_z = (-uz).madd(n_y, f_z);
 
             // Joint about x. After it only torques about z remain.
             let inverse = 1.0 / j_xx;
@@ -186,34 +186,34 @@ pub(crate) fn inward<const L: usize>(
             out.about_x[2][k] = ux;
             out.about_x[3][k] = uy;
             out.about_x[4][k] = uz;
-            let j_zz = (-tz).mul_add(j_xz, j_zz);
-            let h_zx = (-tz).mul_add(h_xx, h_zx);
-            let h_zy = (-tz).mul_add(h_xy, h_zy);
-            let h_zz = (-tz).mul_add(h_xz, h_zz);
-            let m_xx = (-ux).mul_add(h_xx, m_xx);
-            let m_xy = (-ux).mul_add(h_xy, m_xy);
-            let m_xz = (-ux).mul_add(h_xz, m_xz);
-            let m_yy = (-uy).mul_add(h_xy, m_yy);
-            let m_yz = (-uy).mul_add(h_xz, m_yz);
-            let m_zz = (-uz).mul_add(h_xz, m_zz);
-            let n_z = (-tz).mul_add(n_x, n_z);
-            let f_x = (-ux).mul_add(n_x, f_x);
-            let f_y = (-uy).mul_add(n_x, f_y);
-            let f_z = (-uz).mul_add(n_x, f_z);
+            let j_zz = (-tz).madd(j_xz, j_zz);
+            let h_zx = (-tz).madd(h_xx, h_zx);
+            let h_zy = (-tz).madd(h_xy, h_zy);
+            let h_zz = (-tz).madd(h_xz, h_zz);
+            let m_xx = (-ux).madd(h_xx, m_xx);
+            let m_xy = (-ux).madd(h_xy, m_xy);
+            let m_xz = (-ux).madd(h_xz, m_xz);
+            let m_yy = (-uy).madd(h_xy, m_yy);
+            let m_yz = (-uy).madd(h_xz, m_yz);
+            let m_zz = (-uz).madd(h_xz, m_zz);
+            let n_z = (-tz).madd(n_x, n_z);
+            let f_x = (-ux).madd(n_x, f_x);
+            let f_y = (-uy).madd(n_x, f_y);
+            let f_z = (-uz).madd(n_x, f_z);
 
             // Into the floor's frame: (y, z) → (c y − s z, s y + c z). The torque lies along
             // e = (0, −s, c): J = j e eᵀ, H = e kᵀ.
             let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
             let k_x = h_zx;
-            let (k_y, k_z) = (c.mul_add(h_zy, -(s * h_zz)), c.mul_add(h_zz, s * h_zy));
+            let (k_y, k_z) = (c.madd(h_zy, -(s * h_zz)), c.madd(h_zz, s * h_zy));
             let difference = m_zz - m_yy;
-            let w = s.mul_add(difference, -((c + c) * m_yz));
-            let v = c.mul_add(difference, (s + s) * m_yz);
-            let m_yy = s.mul_add(w, m_yy);
-            let m_zz = (-s).mul_add(w, m_zz);
-            let m_yz = (-s).mul_add(v, m_yz);
-            let (m_xy, m_xz) = (c.mul_add(m_xy, -(s * m_xz)), c.mul_add(m_xz, s * m_xy));
-            let (f_y, f_z) = (c.mul_add(f_y, -(s * f_z)), c.mul_add(f_z, s * f_y));
+            let w = s.madd(difference, -((c + c) * m_yz));
+            let v = c.madd(difference, (s + s) * m_yz);
+            let m_yy = s.madd(w, m_yy);
+            let m_zz = (-s).madd(w, m_zz);
+            let m_yz = (-s).madd(v, m_yz);
+            let (m_xy, m_xz) = (c.madd(m_xy, -(s * m_xz)), c.madd(m_xz, s * m_xy));
+            let (f_y, f_z) = (c.madd(f_y, -(s * f_z)), c.madd(f_z, s * f_y));
             let (f_x, f_y, f_z) = (f_x - pull[0][k], f_y - pull[1][k], f_z - pull[2][k]);
 
             // Prismatic joint along z.
@@ -224,15 +224,15 @@ pub(crate) fn inward<const L: usize>(
             out.slide[1][k] = t;
             out.slide[2][k] = ux;
             out.slide[3][k] = uy;
-            let j = (-t).mul_add(k_z, j_zz);
-            let k_x = (-ux).mul_add(k_z, k_x);
-            let k_y = (-uy).mul_add(k_z, k_y);
-            let m_xx = (-ux).mul_add(m_xz, m_xx);
-            let m_xy = (-ux).mul_add(m_yz, m_xy);
-            let m_yy = (-uy).mul_add(m_yz, m_yy);
-            let n = (-t).mul_add(f_z, n_z);
-            let f_x = (-ux).mul_add(f_z, f_x);
-            let f_y = (-uy).mul_add(f_z, f_y);
+            let j = (-t).madd(k_z, j_zz);
+            let k_x = (-ux).madd(k_z, k_x);
+            let k_y = (-uy).madd(k_z, k_y);
+            let m_xx = (-ux).madd(m_xz, m_xx);
+            let m_xy = (-ux).madd(m_yz, m_xy);
+            let m_yy = (-uy).madd(m_yz, m_yy);
+            let n = (-t).madd(f_z, n_z);
+            let f_x = (-ux).madd(f_z, f_x);
+            let f_y = (-uy).madd(f_z, f_y);
 
             // Down the strut to the floor's centre: a → a + ψ × h z.
             let h = q[0][k];
@@ -240,14 +240,14 @@ pub(crate) fn inward<const L: usize>(
             let leaned = s * k_x;
             let h_xx = -(h * m_xy);
             let h_xy = -(h * m_yy);
-            let h_yx = h.mul_add(m_xx, -leaned);
-            let h_yy = h.mul_add(m_xy, -(s * k_y));
+            let h_yx = h.madd(m_xx, -leaned);
+            let h_yy = h.madd(m_xy, -(s * k_y));
             let (h_zx, h_zy) = (c * k_x, c * k_y);
             carried.j_xx[lane] = -(h * h_xy);
             carried.j_xy[lane] = -(h * h_yy);
             carried.j_xz[lane] = -(h * h_zy);
-            carried.j_yy[lane] = h.mul_add(h_yx - leaned, s * sj);
-            carried.j_yz[lane] = h.mul_add(h_zx, -(s * cj));
+            carried.j_yy[lane] = h.madd(h_yx - leaned, s * sj);
+            carried.j_yz[lane] = h.madd(h_zx, -(s * cj));
             carried.j_zz[lane] = c * cj;
             carried.h_xx[lane] = h_xx;
             carried.h_xy[lane] = h_xy;
@@ -259,7 +259,7 @@ pub(crate) fn inward<const L: usize>(
             carried.m_xy[lane] = m_xy;
             carried.m_yy[lane] = m_yy;
             carried.torque[0][lane] = -(h * f_y);
-            carried.torque[1][lane] = h.mul_add(f_x, -(s * n));
+            carried.torque[1][lane] = h.madd(f_x, -(s * n));
             carried.torque[2][lane] = c * n;
             carried.force[0][lane] = f_x;
             carried.force[1][lane] = f_y;
@@ -298,44 +298,41 @@ pub(crate) fn outward<const L: usize>(
             let k = slot + lane;
             let h = q[0][k];
             let (p_x, p_y, p_z) = (psi[0][lane], psi[1][lane], psi[2][lane]);
-            let a_x = h.mul_add(p_y, linear[0][lane]);
-            let a_y = (-h).mul_add(p_x, linear[1][lane]);
+            let a_x = h.madd(p_y, linear[0][lane]);
+            let a_y = (-h).madd(p_x, linear[1][lane]);
             let before = linear[2][lane];
 
             // About x the torque axis e is the frame's z. In every sum the summand that is known
             // last is added last.
             let (s, c) = (trig.sin_alpha[k], trig.cos_alpha[k]);
-            let (p_y, p_z) = (c.mul_add(p_y, s * p_z), c.mul_add(p_z, -(s * p_y)));
+            let (p_y, p_z) = (c.madd(p_y, s * p_z), c.madd(p_z, -(s * p_y)));
             let slide = &joint.slide;
-            let a_z = (-slide[1][k]).mul_add(
-                p_z,
-                (-slide[2][k]).mul_add(a_x, (-slide[3][k]).mul_add(a_y, -slide[0][k])),
-            );
+            let a_z = (-slide[1][k])
+                .madd(p_z, (-slide[2][k]).madd(a_x, (-slide[3][k]).madd(a_y, -slide[0][k])));
             out[0][k] = a_z - before;
 
-            let (a_y, a_z) = (s.mul_add(a_z, c * a_y), c.mul_add(a_z, -(s * a_y)));
+            let (a_y, a_z) = (s.madd(a_z, c * a_y), c.madd(a_z, -(s * a_y)));
             let x = &joint.about_x;
-            let turned = (-x[4][k]).mul_add(
+            let turned = (-x[4][k]).madd(
                 a_z,
-                (-x[3][k]).mul_add(a_y, (-x[2][k]).mul_add(a_x, (-x[1][k]).mul_add(p_z, -x[0][k]))),
+                (-x[3][k]).madd(a_y, (-x[2][k]).madd(a_x, (-x[1][k]).madd(p_z, -x[0][k]))),
             );
             out[1][k] = turned - p_x;
             let p_x = turned;
 
             let y = &joint.about_y;
-            let turned = (-y[1][k]).mul_add(
+            let turned = (-y[1][k]).madd(
                 p_x,
-                (-y[5][k]).mul_add(
+                (-y[5][k]).madd(
                     a_z,
-                    (-y[4][k])
-                        .mul_add(a_y, (-y[3][k]).mul_add(a_x, (-y[2][k]).mul_add(p_z, -y[0][k]))),
+                    (-y[4][k]).madd(a_y, (-y[3][k]).madd(a_x, (-y[2][k]).madd(p_z, -y[0][k]))),
                 ),
             );
             out[2][k] = turned - p_y;
 
             let (s, c) = (trig.sin_beta[k], trig.cos_beta[k]);
-            let (p_x, p_z) = (c.mul_add(p_x, -(s * p_z)), s.mul_add(p_x, c * p_z));
-            let (a_x, a_z) = ((-s).mul_add(a_z, c * a_x), c.mul_add(a_z, s * a_x));
+            let (p_x, p_z) = (c.madd(p_x, -(s * p_z)), s.madd(p_x, c * p_z));
+            let (a_x, a_z) = ((-s).madd(a_z, c * a_x), c.madd(a_z, s * a_x));
 
             out[3][k] = radial[0][k] - a_x;
             out[4][k] = radial[1][k] - a_y;

@@ -9,6 +9,7 @@ use std::ops::Range;
 
 use super::rows::{Block, Row, WIDTH};
 use crate::base::BaseRows;
+use crate::multiply_add::MultiplyAdd;
 use crate::transcendental::sin_cos;
 
 /// Sines and cosines of α and β.
@@ -69,17 +70,15 @@ impl<const L: usize> BaseFrame<L> {
             frame.omega[0][lane] = c * theta_rate;
             frame.omega[1][lane] = phi_rate;
             frame.omega[2][lane] = s * theta_rate;
-            frame.psi[0][lane] = c.mul_add(theta_acceleration, -(s * theta_rate * phi_rate));
+            frame.psi[0][lane] = c.madd(theta_acceleration, -(s * theta_rate * phi_rate));
             frame.psi[1][lane] = phi_acceleration;
-            frame.psi[2][lane] = s.mul_add(theta_acceleration, c * theta_rate * phi_rate);
+            frame.psi[2][lane] = s.madd(theta_acceleration, c * theta_rate * phi_rate);
             let (x, y, z) = (gravity[0][lane], gravity[1][lane], gravity[2][lane]);
-            let (y, z) = (
-                cosine_theta.mul_add(y, sine_theta * z),
-                cosine_theta.mul_add(z, -(sine_theta * y)),
-            );
-            frame.gravity[0][lane] = c.mul_add(x, -(s * z));
+            let (y, z) =
+                (cosine_theta.madd(y, sine_theta * z), cosine_theta.madd(z, -(sine_theta * y)));
+            frame.gravity[0][lane] = c.madd(x, -(s * z));
             frame.gravity[1][lane] = y;
-            frame.gravity[2][lane] = c.mul_add(z, s * x);
+            frame.gravity[2][lane] = c.madd(z, s * x);
         }
         frame
     }
@@ -119,13 +118,13 @@ impl Flow {
 /// `R_x(α)ᵀ` on a vector.
 #[inline(always)]
 fn turn_x(v: [f64; 3], sine: f64, cosine: f64) -> [f64; 3] {
-    [v[0], cosine.mul_add(v[1], sine * v[2]), cosine.mul_add(v[2], -(sine * v[1]))]
+    [v[0], cosine.madd(v[1], sine * v[2]), cosine.madd(v[2], -(sine * v[1]))]
 }
 
 /// `R_y(β)ᵀ` on a vector.
 #[inline(always)]
 fn turn_y(v: [f64; 3], sine: f64, cosine: f64) -> [f64; 3] {
-    [cosine.mul_add(v[0], -(sine * v[2])), v[1], cosine.mul_add(v[2], sine * v[0])]
+    [cosine.madd(v[0], -(sine * v[2])), v[1], cosine.madd(v[2], sine * v[0])]
 }
 
 /// Motion of the plane that the sweep has reached, in that plane's frame, one value a lane.
@@ -175,12 +174,12 @@ pub(crate) fn outward<const L: usize>(
             let g = [gravity[0][lane], gravity[1][lane], gravity[2][lane]];
 
             // Along the strut, h z: v + ω × h z + ḣ z, a + ψ × h z + ω × (ω × h z) + 2 ḣ ω × z.
-            let v = [h.mul_add(w[1], v[0]), (-h).mul_add(w[0], v[1]), v[2] + h_rate];
+            let v = [h.madd(w[1], v[0]), (-h).madd(w[0], v[1]), v[2] + h_rate];
             let twice = 2.0 * h_rate;
             let a = [
-                h.mul_add(w[0].mul_add(w[2], p[1]), twice.mul_add(w[1], a[0])),
-                h.mul_add(w[1].mul_add(w[2], -p[0]), (-twice).mul_add(w[0], a[1])),
-                (-h).mul_add(w[0].mul_add(w[0], w[1] * w[1]), a[2]),
+                h.madd(w[0].madd(w[2], p[1]), twice.madd(w[1], a[0])),
+                h.madd(w[1].madd(w[2], -p[0]), (-twice).madd(w[0], a[1])),
+                (-h).madd(w[0].madd(w[0], w[1] * w[1]), a[2]),
             ];
             for axis in 0..3 {
                 flow.velocity[axis][k] = v[axis];
@@ -192,14 +191,14 @@ pub(crate) fn outward<const L: usize>(
             let (w, p) = (turn_x(w, sine, cosine), turn_x(p, sine, cosine));
             let (v, a, g) =
                 (turn_x(v, sine, cosine), turn_x(a, sine, cosine), turn_x(g, sine, cosine));
-            let p = [p[0], w[2].mul_add(a_rate, p[1]), (-w[1]).mul_add(a_rate, p[2])];
+            let p = [p[0], w[2].madd(a_rate, p[1]), (-w[1]).madd(a_rate, p[2])];
             let w = [w[0] + a_rate, w[1], w[2]];
 
             let (sine, cosine) = (trig.sin_beta[k], trig.cos_beta[k]);
             let (w, p) = (turn_y(w, sine, cosine), turn_y(p, sine, cosine));
             let (v, a, g) =
                 (turn_y(v, sine, cosine), turn_y(a, sine, cosine), turn_y(g, sine, cosine));
-            let p = [(-w[2]).mul_add(b_rate, p[0]), p[1], w[0].mul_add(b_rate, p[2])];
+            let p = [(-w[2]).madd(b_rate, p[0]), p[1], w[0].madd(b_rate, p[2])];
             let w = [w[0], w[1] + b_rate, w[2]];
 
             for axis in 0..3 {

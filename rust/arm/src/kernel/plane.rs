@@ -6,6 +6,8 @@
 //! m·diag(r2² + r4², r1² + r3², Σ r²), the linear block m·diag(2, 2, 4) and the coupling m·[s]×,
 //! s = (r1 − r3, r2 − r4, 0).
 
+use crate::multiply_add::MultiplyAdd;
+
 use super::body::Material;
 use super::kinematics::Motion;
 use super::rows::{Block, Row, WIDTH};
@@ -79,42 +81,42 @@ pub(crate) fn assemble(
 
         // Accelerations of the joints across their radii with q̈ = 0, per unit of σ:
         // ψ × r u + ω × (ω × r u) + 2 ṙ ω × u.
-        let swing_xy = wx.mul_add(wy, pz);
-        let swing_xz = wx.mul_add(wz, -py);
-        let swing_yx = wx.mul_add(wy, -pz);
-        let swing_yz = wy.mul_add(wz, px);
+        let swing_xy = wx.madd(wy, pz);
+        let swing_xz = wx.madd(wz, -py);
+        let swing_yx = wx.madd(wy, -pz);
+        let swing_yz = wy.madd(wz, px);
         let (two_wx, two_wy, two_wz) = (2.0 * wx, 2.0 * wy, 2.0 * wz);
         let (v1, v2, v3, v4) = (u[3][k], u[4][k], u[5][k], u[6][k]);
-        let q1y = m.mul_add(ay + r1.mul_add(swing_xy, v1 * two_wz), -f1y);
-        let q1z = m.mul_add(az + r1.mul_add(swing_xz, -(v1 * two_wy)), -f1z);
-        let q3y = m.mul_add(ay - r3.mul_add(swing_xy, v3 * two_wz), -f3y);
-        let q3z = m.mul_add(az - r3.mul_add(swing_xz, -(v3 * two_wy)), -f3z);
-        let q2x = m.mul_add(ax + r2.mul_add(swing_yx, -(v2 * two_wz)), -f2x);
-        let q2z = m.mul_add(az + r2.mul_add(swing_yz, v2 * two_wx), -f2z);
-        let q4x = m.mul_add(ax - r4.mul_add(swing_yx, -(v4 * two_wz)), -f4x);
-        let q4z = m.mul_add(az - r4.mul_add(swing_yz, v4 * two_wx), -f4z);
+        let q1y = m.madd(ay + r1.madd(swing_xy, v1 * two_wz), -f1y);
+        let q1z = m.madd(az + r1.madd(swing_xz, -(v1 * two_wy)), -f1z);
+        let q3y = m.madd(ay - r3.madd(swing_xy, v3 * two_wz), -f3y);
+        let q3z = m.madd(az - r3.madd(swing_xz, -(v3 * two_wy)), -f3z);
+        let q2x = m.madd(ax + r2.madd(swing_yx, -(v2 * two_wz)), -f2x);
+        let q2z = m.madd(az + r2.madd(swing_yz, v2 * two_wx), -f2z);
+        let q4x = m.madd(ax - r4.madd(swing_yx, -(v4 * two_wz)), -f4x);
+        let q4z = m.madd(az - r4.madd(swing_yz, v4 * two_wx), -f4z);
 
-        out.force[0][k] = plane_mass.mul_add(ax, (q2x + q4x) + (t1 - t3));
-        out.force[1][k] = plane_mass.mul_add(ay, (q1y + q3y) + (t2 - t4));
-        out.force[2][k] = plane_mass.mul_add(az, (q1z + q3z) + (q2z + q4z));
-        let gyro_x = wy.mul_add(wz, px);
-        let gyro_y = (-wx).mul_add(wz, py);
-        out.torque[0][k] = plane_inertia.mul_add(gyro_x, r2.mul_add(q2z, -(r4 * q4z)));
-        out.torque[1][k] = plane_inertia.mul_add(gyro_y, r3.mul_add(q3z, -(r1 * q1z)));
-        out.torque[2][k] = (2.0 * plane_inertia)
-            .mul_add(pz, r1.mul_add(q1y, -(r3 * q3y)) + r4.mul_add(q4x, -(r2 * q2x)));
+        out.force[0][k] = plane_mass.madd(ax, (q2x + q4x) + (t1 - t3));
+        out.force[1][k] = plane_mass.madd(ay, (q1y + q3y) + (t2 - t4));
+        out.force[2][k] = plane_mass.madd(az, (q1z + q3z) + (q2z + q4z));
+        let gyro_x = wy.madd(wz, px);
+        let gyro_y = (-wx).madd(wz, py);
+        out.torque[0][k] = plane_inertia.madd(gyro_x, r2.madd(q2z, -(r4 * q4z)));
+        out.torque[1][k] = plane_inertia.madd(gyro_y, r3.madd(q3z, -(r1 * q1z)));
+        out.torque[2][k] =
+            (2.0 * plane_inertia).madd(pz, r1.madd(q1y, -(r3 * q3y)) + r4.madd(q4x, -(r2 * q2x)));
 
-        out.inertia[0][k] = m.mul_add(r2.mul_add(r2, r4 * r4), plane_inertia);
-        out.inertia[1][k] = m.mul_add(r1.mul_add(r1, r3 * r3), plane_inertia);
+        out.inertia[0][k] = m.madd(r2.madd(r2, r4 * r4), plane_inertia);
+        out.inertia[1][k] = m.madd(r1.madd(r1, r3 * r3), plane_inertia);
         out.moment[0][k] = m * (r1 - r3);
         out.moment[1][k] = m * (r2 - r4);
 
         // r̈ = (F·u + τ)/m − a·u + r (ω² − (ω·u)²), Eqs. 1 and 4 along the radius.
-        let spin_x = wy.mul_add(wy, wz * wz);
-        let spin_y = wx.mul_add(wx, wz * wz);
-        radial[0][k] = r1.mul_add(spin_x, (t1 + f1x).mul_add(inverse_mass, -ax));
-        radial[2][k] = r3.mul_add(spin_x, (t3 - f3x).mul_add(inverse_mass, ax));
-        radial[1][k] = r2.mul_add(spin_y, (t2 + f2y).mul_add(inverse_mass, -ay));
-        radial[3][k] = r4.mul_add(spin_y, (t4 - f4y).mul_add(inverse_mass, ay));
+        let spin_x = wy.madd(wy, wz * wz);
+        let spin_y = wx.madd(wx, wz * wz);
+        radial[0][k] = r1.madd(spin_x, (t1 + f1x).madd(inverse_mass, -ax));
+        radial[2][k] = r3.madd(spin_x, (t3 - f3x).madd(inverse_mass, ax));
+        radial[1][k] = r2.madd(spin_y, (t2 + f2y).madd(inverse_mass, -ay));
+        radial[3][k] = r4.madd(spin_y, (t4 - f4y).madd(inverse_mass, ay));
     }
 }

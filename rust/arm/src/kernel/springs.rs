@@ -4,6 +4,8 @@
 //! floor. Its vector is taken in the floor's frame, `d = h z + σ (r e − r_0 u)`, where `e` is the
 //! image of the axis `u` under `R_x(α) R_y(β)` and σ = ±1 tells springs 1, 2 from 3, 4.
 
+use crate::multiply_add::MultiplyAdd;
+
 use super::body::{Material, Rest};
 use super::kinematics::Angles;
 use super::rows::{Block, FloorRef, Muscles, Row, WIDTH};
@@ -88,26 +90,26 @@ pub(crate) fn squared_lengths(
 
 #[inline(always)]
 fn square3(d: [f64; 3]) -> f64 {
-    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
+    d[0].madd(d[0], d[1].madd(d[1], d[2] * d[2]))
 }
 
 #[inline(always)]
 fn square2(d: [f64; 2]) -> f64 {
-    d[0].mul_add(d[0], d[1] * d[1])
+    d[0].madd(d[0], d[1] * d[1])
 }
 
 /// Vector of spring 1 (σ = 1) or 3 (σ = −1), floor's frame.
 #[inline(always)]
 fn x_spring(sigma: f64, h: f64, radius: f64, floor: f64, axis: [f64; 3]) -> [f64; 3] {
     let r = sigma * radius;
-    [r.mul_add(axis[0], -(sigma * floor)), r * axis[1], r.mul_add(axis[2], h)]
+    [r.madd(axis[0], -(sigma * floor)), r * axis[1], r.madd(axis[2], h)]
 }
 
 /// Vector of spring 2 (σ = 1) or 4 (σ = −1), floor's frame, components y and z.
 #[inline(always)]
 fn y_spring(sigma: f64, h: f64, radius: f64, floor: f64, axis: [f64; 2]) -> [f64; 2] {
     let r = sigma * radius;
-    [r.mul_add(axis[0], -(sigma * floor)), r.mul_add(axis[1], h)]
+    [r.madd(axis[0], -(sigma * floor)), r.madd(axis[1], h)]
 }
 
 #[inline(always)]
@@ -151,33 +153,33 @@ pub(crate) fn forces(
         // The same vectors in the ceiling's frame, where the strut is h (−ca sb, sa, ca cb).
         let (hx, hy, hz) = (h * ex[2], h * sa, h * ca * cb);
         let (ux, uz) = (sa * sb, sa * cb);
-        let one_up = [(-f1).mul_add(cb, hx + r1), hy, (-f1).mul_add(sb, hz)];
-        let three_up = [f3.mul_add(cb, hx - r3), hy, f3.mul_add(sb, hz)];
-        let two_up = [(-f2).mul_add(ux, hx), (-f2).mul_add(ca, hy + r2), f2.mul_add(uz, hz)];
-        let four_up = [f4.mul_add(ux, hx), f4.mul_add(ca, hy - r4), (-f4).mul_add(uz, hz)];
+        let one_up = [(-f1).madd(cb, hx + r1), hy, (-f1).madd(sb, hz)];
+        let three_up = [f3.madd(cb, hx - r3), hy, f3.madd(sb, hz)];
+        let two_up = [(-f2).madd(ux, hx), (-f2).madd(ca, hy + r2), f2.madd(uz, hz)];
+        let four_up = [f4.madd(ux, hx), f4.madd(ca, hy - r4), (-f4).madd(uz, hz)];
 
         // Half the rate of the squared length,
         // d·ḋ = ḣ d_z + σ ṙ (d in the ceiling's frame)_u − σ ṙ_0 d_u + r (σ h ė_z − r_0 ė_u).
         let ex_rate = -(sb * b_rate);
-        let hx_rate = h * ux.mul_add(a_rate, -(ca * cb * b_rate));
+        let hx_rate = h * ux.madd(a_rate, -(ca * cb * b_rate));
         let (ey_rate, hy_rate) = (-(sa * a_rate), h * (ca * a_rate));
         let rate = |i: usize| (u[3 + i][k], floor.rate[i][k]);
         let stretch_rate = [
             inverse[0]
                 * squared_rate(h_rate * one[2], rate(0), (one_up[0], one[0]), {
-                    r1 * (-f1).mul_add(ex_rate, hx_rate)
+                    r1 * (-f1).madd(ex_rate, hx_rate)
                 }),
             inverse[1]
                 * squared_rate(h_rate * two[1], rate(1), (two_up[1], two[0]), {
-                    r2 * (-f2).mul_add(ey_rate, hy_rate)
+                    r2 * (-f2).madd(ey_rate, hy_rate)
                 }),
             inverse[2]
                 * squared_rate(h_rate * three[2], rate(2), (-three_up[0], -three[0]), {
-                    -(r3 * f3.mul_add(ex_rate, hx_rate))
+                    -(r3 * f3.madd(ex_rate, hx_rate))
                 }),
             inverse[3]
                 * squared_rate(h_rate * four[1], rate(3), (-four_up[1], -four[0]), {
-                    -(r4 * f4.mul_add(ey_rate, hy_rate))
+                    -(r4 * f4.madd(ey_rate, hy_rate))
                 }),
         ];
 
@@ -187,21 +189,19 @@ pub(crate) fn forces(
         let mut ring = [0.0; 4];
         let mut sum = external.force[2][k];
         for i in 0..4 {
-            let along = material.longitudinal_stiffness[k].mul_add(
+            let along = material.longitudinal_stiffness[k].madd(
                 length[i] - material.rest_length[k],
                 material.longitudinal_damping[k] * stretch_rate[i],
             );
-            let across = material.transverse_stiffness[k].mul_add(
-                q[3 + i][k] - rest.radius[k],
-                material.transverse_damping[k] * u[3 + i][k],
-            );
+            let across = material.transverse_stiffness[k]
+                .madd(q[3 + i][k] - rest.radius[k], material.transverse_damping[k] * u[3 + i][k]);
             let (xi_c, delta_c) = (muscles.longitudinal[i][k], muscles.transverse[i][k]);
             // Eq. 7.
             let xi_v = -(material.longitudinal_volume_gain[k]
-                * (-total).mul_add(across, delta_c).abs()
+                * (-total).madd(across, delta_c).abs()
                 * excess);
             // The sum in Eq. 8.
-            sum += xi_c + applied.mul_add(xi_v, -(total * along));
+            sum += xi_c + applied.madd(xi_v, -(total * along));
             tension_over_length[i] = (along - xi_c - xi_v) * inverse[i];
             ring[i] = delta_c - across;
         }
@@ -230,5 +230,5 @@ pub(crate) fn forces(
 /// Sum of the four parts of `d·ḋ`: of the strut, the two radii, and the joint's turning.
 #[inline(always)]
 fn squared_rate(strut: f64, rate: (f64, f64), along: (f64, f64), turning: f64) -> f64 {
-    rate.0.mul_add(along.0, (-rate.1).mul_add(along.1, strut)) + turning
+    rate.0.madd(along.0, (-rate.1).madd(along.1, strut)) + turning
 }

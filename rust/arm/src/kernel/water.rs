@@ -6,6 +6,7 @@
 use super::body::{Material, Rest};
 use super::kinematics::Flow;
 use super::rows::{Block, FloorRef, Row, WIDTH};
+use crate::multiply_add::MultiplyAdd;
 use crate::transcendental::atan_small;
 
 /// External force on the ceiling plane's centre and the compartment's excess volume.
@@ -31,10 +32,9 @@ const LIFT_DEGENERACY: f64 = 1e-9;
 #[inline(always)]
 fn polynomial(coefficients: &[Row; 5], k: usize, x: f64) -> f64 {
     let square = x * x;
-    let high =
-        coefficients[0][k].mul_add(square, coefficients[1][k].mul_add(x, coefficients[2][k]));
-    let low = coefficients[3][k].mul_add(x, coefficients[4][k]);
-    high.mul_add(square, low)
+    let high = coefficients[0][k].madd(square, coefficients[1][k].madd(x, coefficients[2][k]));
+    let low = coefficients[3][k].madd(x, coefficients[4][k]);
+    high.madd(square, low)
 }
 
 #[inline(always)]
@@ -53,15 +53,15 @@ pub(crate) fn external(
             * ((floor.radius[0][k] + floor.radius[1][k])
                 + (floor.radius[2][k] + floor.radius[3][k]));
         let top = 0.25 * ((q[3][k] + q[4][k]) + (q[5][k] + q[6][k]));
-        let squares = base.mul_add(base, top.mul_add(base, top * top));
+        let squares = base.madd(base, top.madd(base, top * top));
         let volume = std::f64::consts::FRAC_PI_3 * h * squares;
         out.excess_volume[k] = volume - rest.volume[k];
 
         let (x, y, z) = (flow.velocity[0][k], flow.velocity[1][k], flow.velocity[2][k]);
-        let across_squared = x.mul_add(x, y * y);
+        let across_squared = x.madd(x, y * y);
         let across = across_squared.sqrt();
         let along = z.abs();
-        let speed = z.mul_add(z, across_squared).sqrt();
+        let speed = z.madd(z, across_squared).sqrt();
 
         // Angle of incidence, folded to [0, 90] degrees: twice the arc tangent of the half angle.
         let steep = across > along;
@@ -84,10 +84,10 @@ pub(crate) fn external(
         let has_direction = along * across > LIFT_DEGENERACY * (speed * speed);
         let lift = if has_direction { lift } else { 0.0 };
         let sideways = -(drag + lift * along / (across + TINY));
-        let lengthwise = (-drag).mul_add(z, lift * across.copysign(z));
+        let lengthwise = (-drag).madd(z, lift * across.copysign(z));
         let weight = material.net_density[k] * volume;
-        out.force[0][k] = weight.mul_add(flow.gravity[0][k], sideways * x);
-        out.force[1][k] = weight.mul_add(flow.gravity[1][k], sideways * y);
-        out.force[2][k] = weight.mul_add(flow.gravity[2][k], lengthwise);
+        out.force[0][k] = weight.madd(flow.gravity[0][k], sideways * x);
+        out.force[1][k] = weight.madd(flow.gravity[1][k], sideways * y);
+        out.force[2][k] = weight.madd(flow.gravity[2][k], lengthwise);
     }
 }
