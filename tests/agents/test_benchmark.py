@@ -48,7 +48,7 @@ def test_figures_of_one_run(octoarm, tmp_path):
     elsewhere = {names.elsewhere_name(name) for name in names.other_instruction_sets()}
     assert {names.ARM, names.ARM_DRY, names.ARM_SERVO, names.ARM_STEP} <= set(rows)
     assert {names.ENV_BARE, names.ENV_MADE} | batches | vectors | peers | elsewhere <= set(rows)
-    assert {names.RESETS, names.RESETS_FEW, names.RESETS_MANY, names.REACH} <= set(rows)
+    assert {names.RESETS, names.RESETS_OWN, names.RESETS_ANY, names.REACH} <= set(rows)
     for name, row in rows.items():
         figure = row["microseconds_per_arm_step"]
         assert len(figure["by_round"]) == 2

@@ -17,7 +17,7 @@ from octoarm_agents.benchmark.turns import Spread
 
 FOLDER = "OCTOARM_SERVER_FOLDER"
 PROGRAMS = ("octoarm-server", "octoarm-load")
-BATCHES = (2, 9)
+BATCHES = ((2, 0.01), (9, 0.02))
 SERVERS = (server.SERVER, server.SLEEPING)
 TINY = ("benchmark", "--server", "--seconds", 0.1, "--rounds", 1)
 
@@ -52,8 +52,8 @@ class TestMeasuring:
         names = {load_name(each, 1, period) for each in SERVERS for period in server.PERIODS}
         names |= {load_name(server.SERVER, 4, 0.01), server.LOCAL, server.DEEPMIND}
         if server.REMOTE not in result.left_out:
-            batches = [(arms, remote) for arms in BATCHES for remote in (True, False)]
-            names |= {batch_name(arms, remote=remote) for arms, remote in batches}
+            batches = [(*batch, remote) for batch in BATCHES for remote in (True, False)]
+            names |= {batch_name(*batch, remote=remote) for *batch, remote in batches}
             names.add(server.REMOTE)
         assert set(result.figures) == names
         for name, figures in result.figures.items():

@@ -38,6 +38,10 @@ RUN_STEPS = 20_000
 BATCH = 64
 """Arms of the batch that is compared with others."""
 
+BODIES = 16
+VARIED: dict[str, Any] = {"vary": {"longitudinal_stiffness": (0.8, 1.2)}, "bodies": BODIES}
+"""Bodies that resets choose from."""
+
 BATCH_SIZES = (1, 8, BATCH, 1024)
 SYNC_ENVS = BATCH
 ASYNC_ENVS = 16
@@ -56,8 +60,8 @@ TWIN = "MuJoCo twin of that dry arm"
 ENV_BARE = "OctoArmEnv.step"
 ENV_MADE = 'gym.make("OctoArm-v0").step'
 RESETS = f"reset of {BATCH} environments onto one body, 1 thread"
-RESETS_FEW = f"reset of {BATCH} environments onto one of 2 bodies, 1 thread"
-RESETS_MANY = f"reset of {BATCH} environments onto one of 16 bodies, 1 thread"
+RESETS_OWN = f"reset of {BATCH} environments of {BODIES} bodies, each onto its own, 1 thread"
+RESETS_ANY = f"reset of {BATCH} environments onto any of {BODIES} bodies, 1 thread"
 REACH = f"OctoArmReachVectorEnv of {BATCH}, 1 thread"
 SYNC = f"gymnasium's SyncVectorEnv of {SYNC_ENVS}"
 ASYNC = f"gymnasium's AsyncVectorEnv of {ASYNC_ENVS}"
@@ -109,8 +113,14 @@ def make_contenders() -> list[Contender]:
     for envs, threads in sizes:
         native = OctoArmVectorEnv(envs, **settings, **mode, threads=threads)
         contenders.append(_vector_environment(vector_name(envs, threads), native))
-    bodies = {RESETS: 1, RESETS_FEW: 2, RESETS_MANY: 16}
-    contenders += [_resets(name, count) for name, count in bodies.items()]
+    drawn = OctoArmVectorEnv(BATCH, **VARIED, threads=1)
+    bodies = drawn.settings[0].drawn_bodies
+    own = [bodies[index % BODIES] for index in range(BATCH)]
+    contenders += [
+        _resets(RESETS, OctoArmVectorEnv(BATCH, threads=1)),
+        _resets(RESETS_OWN, OctoArmVectorEnv(BATCH, arm=own, threads=1)),
+        _resets(RESETS_ANY, drawn),
+    ]
     contenders.append(_reaching())
     # With its module, for processes that begin without what this one has imported.
     make = [lambda: gym.make("octoarm_env:OctoArm-v0", **settings)]
@@ -244,10 +254,8 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
     )
 
 
-def _resets(name: str, bodies: int) -> Contender:
-    """Resets of a batch whose bodies vary; a step is a reset."""
-    vary = {"longitudinal_stiffness": (0.8, 1.2)} if bodies > 1 else None
-    envs = OctoArmVectorEnv(BATCH, vary=vary, bodies=bodies, threads=1)
+def _resets(name: str, envs: OctoArmVectorEnv) -> Contender:
+    """Resets of a batch; a step is a reset."""
     envs.reset(seed=0)
 
     def run(steps: int) -> None:

@@ -34,8 +34,8 @@ LOCAL = "OctoArmEnv, no server"
 DEEPMIND = "dm_env_rpc's Connection"
 REMOTE = "RemoteOctoArm"
 """Clients in Python, each alone with the server; and the environment itself."""
-BATCHES = (64, 256)
-"""Arms of the batches that are stepped here and on the server."""
+BATCHES = ((64, 0.01), (64, 0.05), (256, 0.01))
+"""Arms and control period [s] of the batches that are stepped here and on the server."""
 
 CONNECTIONS = (1, 16, 128)
 PERIODS = (0.01, 0.001)
@@ -63,9 +63,10 @@ class LoadError(RuntimeError):
     """A server could not be measured."""
 
 
-def batch_name(arms: int, *, remote: bool) -> str:
-    """Name of a batch of so many arms."""
-    return f"{'RemoteOctoArmVectorEnv' if remote else 'OctoArmVectorEnv, no server,'} of {arms}"
+def batch_name(arms: int, period: float, *, remote: bool) -> str:
+    """Name of a batch of so many arms at a control period [s]."""
+    kind = "RemoteOctoArmVectorEnv" if remote else "OctoArmVectorEnv, no server,"
+    return f"{kind} of {arms}, {1000 * period:g} ms"
 
 
 def load_name(contender: str, connections: int, period: float) -> str:
@@ -111,11 +112,11 @@ def measure_server(
             from octoarm_env.remote import RemoteOctoArm, RemoteOctoArmVectorEnv
 
             clients[REMOTE] = partial(_stepping, partial(RemoteOctoArm, server))
-            for arms in BATCHES:
-                local = partial(_stepping_many, partial(OctoArmVectorEnv, arms))
-                remote = partial(_stepping_many, partial(RemoteOctoArmVectorEnv, arms, server))
-                clients[batch_name(arms, remote=False)] = local
-                clients[batch_name(arms, remote=True)] = remote
+            for arms, period in BATCHES:
+                here = partial(OctoArmVectorEnv, arms, control_period=period)
+                there = partial(RemoteOctoArmVectorEnv, arms, server, control_period=period)
+                clients[batch_name(arms, period, remote=False)] = partial(_stepping_many, here)
+                clients[batch_name(arms, period, remote=True)] = partial(_stepping_many, there)
         except ImportError as error:
             left_out[REMOTE] = str(error)
         contenders += [Contender(name, partial(_drive, each)) for name, each in clients.items()]
@@ -137,9 +138,10 @@ def comparisons() -> list[Comparison]:
         for word, sign, unit in (("minus", "−", "µs"), ("over", "/", "×")):
             label = f"{client} {sign} {LOCAL}: a step"
             found.append(Comparison(f"{key}_{word}_local", label, client, LOCAL, unit, MEDIAN))
-    for arms in BATCHES:
-        remote, local = (batch_name(arms, remote=each) for each in (True, False))
-        key, label = f"remote_batch_of_{arms}_over_local", f"{remote} / {local}: steps a second"
+    for arms, period in BATCHES:
+        remote, local = (batch_name(arms, period, remote=each) for each in (True, False))
+        key = f"remote_batch_of_{arms}_over_local_{1000 * period:g}_ms"
+        label = f"{remote} / {local}: steps a second"
         found.append(Comparison(key, label, remote, local))
     return found
 

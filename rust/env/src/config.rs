@@ -99,9 +99,12 @@ const BODIES_APART: u64 = 0x6a09_e667_f3bc_c908;
 /// Parameters that are no body's own: shape and clock of what is seen and commanded.
 const FIXED: [&str; 4] = ["compartments", "timestep", "rest_length", "servo_frequency"];
 
+/// The factors that a body was drawn with, in the order of `vary`; shared with the infos of its episodes.
+pub(crate) type Factors = Arc<[f64]>;
+
 /// Settings that have been checked, with their bodies; shared, and never changed.
 #[derive(Clone, Debug)]
-pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>, Vec<Vec<f64>>)>);
+pub struct CheckedConfig(Arc<(EpisodeConfig, Vec<ArmParameters>, Vec<Factors>)>);
 
 impl std::ops::Deref for CheckedConfig {
     type Target = EpisodeConfig;
@@ -119,7 +122,7 @@ impl CheckedConfig {
     }
 
     /// The factors that a body was drawn with, in the order of `vary`.
-    pub(crate) fn factors(&self, body: usize) -> &[f64] {
+    pub(crate) fn factors(&self, body: usize) -> &Factors {
         &self.0.2[body]
     }
 
@@ -312,10 +315,10 @@ pub(crate) fn draw_bodies(
         let range = format!("of numbers of the body: {}", known.join(", "));
         return Err(ParameterError::out_of_range("vary", format!("{name:?}"), range));
     }
-    let body = |factors: Vec<f64>| {
+    let body = |factors: Factors| {
         let mut drawn = nominal.clone();
-        for (name, factor) in vary.keys().zip(factors) {
-            drawn.insert(name.clone(), scaled(&nominal[name], factor));
+        for (name, factor) in vary.keys().zip(factors.iter()) {
+            drawn.insert(name.clone(), scaled(&nominal[name], *factor));
         }
         let drawn: ArmParameters = read_fields(Value::Object(drawn))?;
         drawn.validate()?;
@@ -329,7 +332,7 @@ pub(crate) fn draw_factors(
     vary: &BTreeMap<String, [f64; 2]>,
     bodies: usize,
     seed: u64,
-) -> Vec<Vec<f64>> {
+) -> Vec<Factors> {
     let mut generator = Pcg64::seed_from_u64(seed ^ BODIES_APART);
     let mut draw = |[low, high]: &[f64; 2]| low + (high - low) * share(&mut generator);
     (0..bodies).map(|_| vary.values().map(&mut draw).collect()).collect()

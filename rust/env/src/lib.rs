@@ -63,7 +63,7 @@ pub use reach::{Reach, ReachOutcome, ReachState, check_activations};
 pub use reach_bodies::ReachBodies;
 pub use reach_config::{MUSCLES, ReachConfig, ReachReward, distance};
 pub use reward::{Reward, RewardTerms};
-pub use senses::{DisturbanceInfo, Disturbances, Senses, Told};
+pub use senses::{DisturbanceInfo, Disturbances, Part, Senses, Told};
 pub use swing::{Snapshot, Swing, SwingRun, Swings};
 pub use task::{Stage, Task};
 pub use teacher::TeacherClock;

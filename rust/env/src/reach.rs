@@ -8,7 +8,7 @@ use rand_core::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use crate::config::draw_factors;
+use crate::config::{Factors, draw_factors};
 use crate::control::control_step_of_lanes;
 use crate::draw::choose;
 use crate::episode_batch::{Autoreset, EpisodeBatch};
@@ -158,7 +158,7 @@ struct Shared {
     /// The bodies at rest, and the states that they are in.
     bodies: Vec<(Arm, ArmState)>,
     /// Factors that they were drawn with.
-    factors: Vec<Vec<f64>>,
+    factors: Vec<Factors>,
     physics_steps: u32,
     /// Share of its way to the action that the activation makes in a physics step.
     pace: f64,

@@ -1,6 +1,7 @@
 //! What lies between the agent and the body: noise, delay, springs that are not seen.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use octoarm_arm::{Interval, ParameterError};
 use rand_core::SeedableRng;
@@ -41,7 +42,7 @@ impl Disturbances {
 #[derive(Clone, Debug, PartialEq)]
 pub struct DisturbanceInfo {
     /// Factors on the parameters of the arm that vary, in the alphabetical order of their names.
-    body_factors: Option<Vec<f64>>,
+    body_factors: Option<Arc<[f64]>>,
     /// What was added to the angles that the action commands \[degrees\]; 0 after a reset.
     action_noise: Option<[f64; 2]>,
     /// Lengths of all springs as they are \[m\].
@@ -53,15 +54,18 @@ pub struct DisturbanceInfo {
 }
 
 /// A part of a [`DisturbanceInfo`].
-#[derive(Clone, Debug, PartialEq)]
-pub enum Told {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Told<'a> {
     /// Numbers.
-    Numbers(Vec<f64>),
+    Numbers(&'a [f64]),
     /// Flags.
-    Flags(Vec<bool>),
+    Flags(&'a [bool]),
     /// A count.
     Count(usize),
 }
+
+/// How a part is read; none where the settings do not ask for it.
+pub type Part = fn(&DisturbanceInfo) -> Option<Told<'_>>;
 
 impl DisturbanceInfo {
     /// Of an episode with such senses, whose body is the nominal one times `factors`; none of one that is
@@ -69,7 +73,7 @@ impl DisturbanceInfo {
     pub(crate) fn of(
         senses: Option<&Senses>,
         disturbances: &Disturbances,
-        factors: &[f64],
+        factors: &Arc<[f64]>,
         lengths: &dyn Fn() -> Vec<f64>,
     ) -> Option<Box<Self>> {
         if senses.is_none() && factors.is_empty() {
@@ -80,7 +84,7 @@ impl DisturbanceInfo {
             (0..lengths().len()).map(|spring| senses.unseen.contains(&spring)).collect()
         };
         Some(Box::new(Self {
-            body_factors: (!factors.is_empty()).then(|| factors.to_vec()),
+            body_factors: (!factors.is_empty()).then(|| Arc::clone(factors)),
             action_noise: senses.filter(|_| action_noise > 0.0).map(|senses| senses.noise),
             true_lengths: (length_noise > 0.0 || delay > 0 || dropout > 0).then(lengths),
             dropped: senses.filter(|_| dropout > 0).map(unseen),
@@ -88,19 +92,14 @@ impl DisturbanceInfo {
         }))
     }
 
-    /// What there is, each with its key in Python's `info`.
-    #[must_use]
-    pub fn parts(&self) -> Vec<(&'static str, Told)> {
-        let noise = self.action_noise.map(|noise| noise.to_vec());
-        let parts = [
-            ("body_factors", self.body_factors.clone().map(Told::Numbers)),
-            ("action_noise", noise.map(Told::Numbers)),
-            ("true_lengths", self.true_lengths.clone().map(Told::Numbers)),
-            ("dropped", self.dropped.clone().map(Told::Flags)),
-            ("delay", self.delay.map(Told::Count)),
-        ];
-        parts.into_iter().filter_map(|(name, told)| Some((name, told?))).collect()
-    }
+    /// The parts, each under its key in Python's `info`; only what there is.
+    pub const PARTS: [(&'static str, Part); 5] = [
+        ("body_factors", |told| told.body_factors.as_deref().map(Told::Numbers)),
+        ("action_noise", |told| told.action_noise.as_ref().map(|noise| Told::Numbers(noise))),
+        ("true_lengths", |told| told.true_lengths.as_deref().map(Told::Numbers)),
+        ("dropped", |told| told.dropped.as_deref().map(Told::Flags)),
+        ("delay", |told| told.delay.map(Told::Count)),
+    ];
 }
 
 /// The disturbances of an episode, and the readings that are on their way to the agent.

@@ -2,7 +2,7 @@
 
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use octoarm_arm::ParameterError;
-use octoarm_env::{EpisodeConfig, Orbit, Outcome, Reading, TargetName, Told};
+use octoarm_env::{DisturbanceInfo, EpisodeConfig, Orbit, Outcome, Reading, TargetName, Told};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -115,11 +115,15 @@ fn info<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>>
             }
         }
     }
-    for (name, told) in outcome.disturbance.iter().flat_map(|disturbance| disturbance.parts()) {
-        match told {
-            Told::Numbers(numbers) => info.set_item(name, numbers.into_pyarray(py))?,
-            Told::Flags(flags) => info.set_item(name, flags.into_pyarray(py))?,
-            Told::Count(count) => info.set_item(name, index.call1((count,))?)?,
+    let disturbance = outcome.disturbance.as_deref();
+    for (name, read) in disturbance.map_or(&[][..], |_| &DisturbanceInfo::PARTS) {
+        match disturbance.and_then(read) {
+            Some(Told::Numbers(numbers)) => {
+                info.set_item(name, PyArray1::from_slice(py, numbers))?
+            }
+            Some(Told::Flags(flags)) => info.set_item(name, PyArray1::from_slice(py, flags))?,
+            Some(Told::Count(count)) => info.set_item(name, index.call1((count,))?)?,
+            None => {}
         }
     }
     Ok(info)

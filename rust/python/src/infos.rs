@@ -1,6 +1,6 @@
 //! The infos of many episodes, as Gymnasium joins them.
 
-use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use octoarm_env::{BatchStep, DisturbanceInfo, Last, Outcome, ReachOutcome, Reading, Told};
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -34,45 +34,57 @@ impl Disturbed for ReachOutcome {
 /// episode, zeros for those without.
 fn set_disturbances<O: Disturbed>(infos: &Infos<'_>, outcomes: &[Option<&O>]) -> PyResult<()> {
     let py = infos.py();
-    let told: Vec<Vec<(&str, Told)>> = outcomes
-        .iter()
-        .map(|outcome| {
-            outcome.and_then(Disturbed::disturbance).map_or_else(Vec::new, |told| told.parts())
-        })
-        .collect();
-    let mask: Vec<bool> = told.iter().map(|parts| !parts.is_empty()).collect();
-    let Some(first) = told.iter().find(|parts| !parts.is_empty()) else { return Ok(()) };
-    for (place, (name, part)) in first.iter().enumerate() {
-        let parts = || told.iter().map(|parts| parts.get(place).map(|(_, part)| part));
-        match part {
-            Told::Numbers(numbers) => {
-                let width = numbers.len();
-                let values = parts().flat_map(|part| match part {
-                    Some(Told::Numbers(numbers)) => numbers.clone(),
-                    _ => vec![0.0; width],
+    let told: Vec<_> =
+        outcomes.iter().map(|outcome| outcome.and_then(Disturbed::disturbance)).collect();
+    let mask: Vec<bool> = told.iter().map(Option::is_some).collect();
+    let Some(first) = told.iter().flatten().next() else { return Ok(()) };
+    for (name, read) in DisturbanceInfo::PARTS {
+        let parts = told.iter().map(|told| told.and_then(read));
+        match read(first) {
+            None => continue,
+            Some(Told::Numbers(numbers)) => {
+                let rows = parts.map(|part| match part {
+                    Some(Told::Numbers(numbers)) => Some(numbers),
+                    _ => None,
                 });
-                infos.set_item(name, table(py, values.collect(), width)?)?;
+                infos.set_item(name, rows_of(py, rows, numbers.len())?)?;
             }
-            Told::Flags(flags) => {
-                let width = flags.len();
-                let values = parts().flat_map(|part| match part {
-                    Some(Told::Flags(flags)) => flags.clone(),
-                    _ => vec![false; width],
+            Some(Told::Flags(flags)) => {
+                let rows = parts.map(|part| match part {
+                    Some(Told::Flags(flags)) => Some(flags),
+                    _ => None,
                 });
-                let values: Vec<bool> = values.collect();
-                infos.set_item(name, values.into_pyarray(py).reshape([told.len(), width])?)?;
+                infos.set_item(name, rows_of(py, rows, flags.len())?)?;
             }
-            Told::Count(_) => {
-                let values = parts().map(|part| match part {
-                    Some(Told::Count(count)) => *count as i64,
+            Some(Told::Count(_)) => {
+                let counts = parts.map(|part| match part {
+                    Some(Told::Count(count)) => count as i64,
                     _ => 0,
                 });
-                infos.set_item(name, values.collect::<Vec<i64>>().into_pyarray(py))?;
+                infos.set_item(name, counts.collect::<Vec<i64>>().into_pyarray(py))?;
             }
         }
         set_mask(infos, name, &mask)?;
     }
     Ok(())
+}
+
+/// Rows of this width below each other, zeros for those that are missing.
+fn rows_of<'py, 'a, T: numpy::Element + Copy + Default + 'a>(
+    py: Python<'py>,
+    rows: impl Iterator<Item = Option<&'a [T]>>,
+    width: usize,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    let mut values = Vec::new();
+    let mut count = 0;
+    for row in rows {
+        count += 1;
+        match row {
+            Some(row) => values.extend_from_slice(row),
+            None => values.resize(count * width, T::default()),
+        }
+    }
+    values.into_pyarray(py).reshape([count, width])
 }
 
 /// A row of flags, and the name of the key that it belongs to.
