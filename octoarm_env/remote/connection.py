@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import ipaddress
 import os
 import queue
@@ -164,7 +165,9 @@ class Connection:
             daemon=True,
         )
         try:
-            self._thread.start()
+            # Not from here: an interrupt of the main thread within `start` would leave the new one
+            # waiting for ever.
+            _thread.start_new_thread(_start, (self._thread, self._incoming))
             first = self._incoming.get()
             if isinstance(first, str):
                 raise ConnectionError(f"no way to the server at {self.address}: {first}")
@@ -317,6 +320,13 @@ def property_request(message: Any) -> Any:
     request = EnvironmentRequest()
     request.extension.Pack(message)
     return request
+
+
+def _start(thread: threading.Thread, answers: queue.SimpleQueue[Any]) -> None:
+    try:
+        thread.start()
+    except RuntimeError as error:
+        answers.put(str(error))
 
 
 def _converse(

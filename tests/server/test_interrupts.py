@@ -249,6 +249,30 @@ def test_an_interrupt_while_it_is_made(quiet_server: ServerProcess) -> None:
                 env.close()
 
 
+def test_an_interrupt_that_takes_a_lock_with_it(quiet_server: ServerProcess) -> None:
+    """A lock that is taken, but not yet in its block, stays locked: no thread may wait for it."""
+
+    def trace(frame: FrameType, event: str, argument: Any) -> Any:
+        code = frame.f_code
+        if code.co_filename == threading.__file__ and code.co_name == "__enter__":
+            if event == "return":
+                raise KeyboardInterrupt
+            return trace
+        return trace if code.co_filename == threading.__file__ else None
+
+    before = sys.gettrace()
+    with nothing_of_this_process_left(quiet_server):
+        sys.settrace(trace)
+        try:
+            env = RemoteOctoArm(quiet_server.address)
+        except KeyboardInterrupt:
+            env = None
+        finally:
+            sys.settrace(before)
+        if env is not None:
+            env.close()
+
+
 def test_an_interrupt_while_it_is_closed(quiet_server: ServerProcess) -> None:
     with nothing_of_this_process_left(quiet_server):
         for moment in breaks(KeyboardInterrupt):
