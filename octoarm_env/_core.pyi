@@ -15,6 +15,7 @@ __all__ = [
     "Episode",
     "EpisodeBatch",
     "ReachBatch",
+    "Stream",
     "check_actions",
     "check_parameters",
     "check_reach_actions",
@@ -204,3 +205,20 @@ class ArmBatch:
     def set_muscles(self, longitudinal: ArrayLike, transverse: ArrayLike) -> None: ...
     def get_states(self) -> list[_State]: ...
     def set_states(self, states: list[_GivenState]) -> None: ...
+
+@final
+class Stream:
+    def __new__(
+        cls,
+        host: str,
+        port: int,
+        encrypted: bool,
+        roots: bytes | None,
+        token: str | None,
+        proxy: tuple[str, str] | None,
+        patience: float,
+    ) -> Stream: ...
+    def ready(self, timeout: float) -> bool: ...
+    def send(self, message: bytes) -> None: ...
+    def receive(self, timeout: float) -> bytes | tuple[str, str] | None: ...
+    def close(self) -> None: ...

@@ -1,6 +1,6 @@
 """The environments ``OctoArm-v0`` and ``OctoArmReach-v0`` on a server, one or many, over gRPC.
 
-Needs grpcio and protobuf: ``pip install "octoarm-env[remote]"``. A server is started by
+Needs protobuf: ``pip install "octoarm-env[remote]"``. A server is started by
 ``octoarm serve``, of the same version as this package.
 """
 

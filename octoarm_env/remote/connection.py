@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import _thread
 import ipaddress
 import os
-import queue
 import re
 import threading
-import weakref
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-import grpc
-
+from octoarm_env import _core
 from octoarm_env.arguments import positive
 from octoarm_env.remote.messages import (
     EnvironmentRequest,
@@ -29,28 +24,19 @@ from octoarm_env.remote.messages import (
 )
 from octoarm_env.remote.tls import diagnose
 
-_METHOD = "/dm_env_rpc.v1.Environment/Process"
-_HEALTH = "/grpc.health.v1.Health/Check"
 _PORT = 50051
 _INVALID_ARGUMENT, _FAILED_PRECONDITION = 3, 9
 _VERSION = version("octoarm-env")
 TOKEN_VARIABLE = "OCTOARM_TOKEN"
 """Environment variable that holds the token where no argument does."""
-_READY = object()
 _CONNECTING = 10.0
 """Longest wait for somebody to answer at an address, unless more is asked for [s]."""
 _QUICK = 0.5
 """Time after which is looked what stands between if nobody has answered [s]."""
-_GOODBYE = 5.0
-"""Longest wait in :meth:`Connection.close` for the end of the stream [s]."""
 _PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")
-"""Variables that name a proxy, as gRPC reads them: the first that is set."""
-_DIRECT = (
-    ("grpc.enable_http_proxy", 0),
-    # The addresses that GRPC_ADDRESS_HTTP_PROXY is for: none.
-    ("grpc.address_http_proxy_enabled_addresses", "255.255.255.255/32"),
-)
-"""Options of a channel that leads through no proxy."""
+"""Variables that name a proxy, as other clients of gRPC read them: the first that is set."""
+_DIRECT = ("no_grpc_proxy", "no_proxy")
+"""Variables that name the hosts to which no proxy leads: the first that is set."""
 
 T = TypeVar("T")
 
@@ -88,9 +74,9 @@ class Connection:
         patience: longest wait for somebody to answer at the address [s]; None: `timeout`, but at
             most 10 s.
 
-    To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines gRPC goes through the
-    one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless ``no_proxy`` names the
-    host.
+    To 127.0.0.1, ::1 and ``localhost`` no proxy is asked. To other machines the way leads
+    through the one that ``grpc_proxy``, ``https_proxy`` or ``http_proxy`` names, unless
+    ``no_proxy`` names the host.
 
     Raises:
         ValueError, TypeError: a wrong argument, by name, with its value and what is allowed.
@@ -120,30 +106,10 @@ class Connection:
                 "use https://, a certificate, or an SSH tunnel to the server's machine"
             )
         self.address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        self._proxy = "" if local else _proxy()
-        # Streams that share a connection would wait for each other where a server allows it only so
-        # many; the answer to a step of many arms may be large; a dead server is noticed.
-        options = [
-            ("grpc.use_local_subchannel_pool", 1),
-            ("grpc.max_receive_message_length", -1),
-            # A server that is started meanwhile is found soon.
-            ("grpc.initial_reconnect_backoff_ms", 100),
-            ("grpc.max_reconnect_backoff_ms", 1_000),
-            ("grpc.keepalive_time_ms", 30_000),
-            ("grpc.keepalive_timeout_ms", 20_000),
-            *(_DIRECT if local else ()),
-        ]
+        name, proxy = ("", "") if local else _variable(_PROXIES)
+        self._proxy = _told(name, proxy) if proxy else ""
         roots = None if certificate is None else Path(certificate).read_bytes()
-        if encrypted:
-            credentials = grpc.ssl_channel_credentials(root_certificates=roots)
-            connect = partial(grpc.secure_channel, self.address, credentials, options)
-        else:
-            connect = partial(grpc.insecure_channel, self.address, options)
-        metadata = () if token is None else (("authorization", f"Bearer {token}"),)
         self._hint = "" if token else f"; give token or token_file, or set {TOKEN_VARIABLE}"
-        # What a proxy leads to cannot be looked at.
-        seen = local or not self._proxy
-        look = partial(diagnose, host, port, encrypted, roots) if seen else lambda: None
         # Held during an exchange.
         self.lock = threading.RLock()
         # Whether a request was sent whose answer has not been made use of.
@@ -155,23 +121,22 @@ class Connection:
             f"the connection to {self.address} was closed: a request was interrupted before its "
             "answer came"
         )
-        self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._incoming: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        weakref.finalize(self, self._requests.put, None)
-        self._thread = threading.Thread(
-            target=_converse,
-            args=(connect, metadata, patience, look, self._requests, self._incoming),
-            name=f"stream to {self.address}",
-            daemon=True,
+        self._stream = _core.Stream(
+            host,
+            port,
+            encrypted=encrypted,
+            roots=roots,
+            token=token,
+            proxy=(proxy, _variable(_DIRECT)[1]) if proxy else None,
+            patience=patience,
         )
         try:
-            # Not from here: an interrupt of the main thread within `start` would leave the new one
-            # waiting for ever.
-            _thread.start_new_thread(_start, (self._thread, self._incoming))
-            first = self._incoming.get()
-            if isinstance(first, str):
-                raise ConnectionError(f"no way to the server at {self.address}: {first}")
-            if first is not _READY:
+            ready = self._stream.ready(min(_QUICK, patience))
+            # What a proxy leads to cannot be looked at.
+            fault = None if ready or proxy else diagnose(host, port, encrypted, roots)
+            if fault is not None:
+                raise ConnectionError(f"no way to the server at {self.address}: {fault}")
+            if not (ready or self._stream.ready(patience)):
                 how = "with TLS and a trusted certificate" if encrypted else "without TLS"
                 raise ConnectionError(
                     f"no server answers at {self.address} {how} within {patience:g} s{self._proxy}"
@@ -195,12 +160,10 @@ class Connection:
         """End the stream; the server frees what it made. Any thread may do it at any time."""
         self._given_up = True
         self._end(f"the connection to {self.address} is closed")
-        if self._thread.is_alive():
-            self._thread.join(_GOODBYE)
 
     def _end(self, fault: str) -> None:
         self._fault = self._fault or fault
-        self._requests.put(None)
+        self._stream.close()
 
     def exchange(self, work: Callable[[], T]) -> T:
         """Do something that sends requests, takes all their answers, and makes use of them.
@@ -234,30 +197,20 @@ class Connection:
     def post(self, request: Any) -> None:
         """Send a request, within an :meth:`exchange`, without waiting for its answer."""
         self._owed = True
-        self._requests.put(request)
+        self._stream.send(request.SerializeToString())
 
     def answer(self, kind: str) -> Any:
         """Wait, within an :meth:`exchange`, for the next answer, which must be of this kind."""
-        try:
-            response = self._incoming.get(timeout=self._timeout)
-        except queue.Empty:
+        received = self._stream.receive(self._timeout)
+        if received is None:
             fault = (
                 f"timeout = {self._timeout:g} s: the server at {self.address} has not answered "
                 f"{kind} within that time"
             )
-            raise self._broken(fault, TimeoutError) from None
-        if response is None:
-            raise self._broken(f"the server at {self.address} ended the stream")
-        if isinstance(response, BaseException):
-            fault = repr(response)
-            if isinstance(response, grpc.Call):
-                code, details = response.code(), response.details()
-                if code == grpc.StatusCode.UNAUTHENTICATED:
-                    refusal = f"the server at {self.address} refuses: {details}{self._hint}"
-                    raise self._broken(refusal, PermissionError)
-                proxy = self._proxy if code == grpc.StatusCode.UNAVAILABLE else ""
-                fault = f"{details} ({code.name}){proxy}"
-            raise self._broken(f"the connection to {self.address} is broken: {fault}")
+            raise self._broken(fault, TimeoutError)
+        if isinstance(received, tuple):
+            raise self._ended(*received)
+        response = EnvironmentResponse.FromString(received)
         found = response.WhichOneof("payload")
         if found == "error":
             code, message = response.error.code, response.error.message
@@ -267,6 +220,18 @@ class Connection:
         if found != kind:
             raise self._broken(f"the server at {self.address} answered {kind} by {found}")
         return getattr(response, found)
+
+    def _ended(self, code: str, details: str) -> OSError:
+        """The exception for a stream that ended so."""
+        if code == "OK":
+            return self._broken(f"the server at {self.address} ended the stream")
+        if code == "UNAUTHENTICATED":
+            refusal = f"the server at {self.address} refuses: {details}{self._hint}"
+            return self._broken(refusal, PermissionError)
+        proxy = self._proxy if code == "UNAVAILABLE" else ""
+        return self._broken(
+            f"the connection to {self.address} is broken: {details} ({code}){proxy}"
+        )
 
     def _broken(self, fault: str, kind: type[OSError] = ConnectionError) -> OSError:
         """The exception for a stream that broke, unless it was closed from this side meanwhile."""
@@ -322,66 +287,6 @@ def property_request(message: Any) -> Any:
     return request
 
 
-def _start(thread: threading.Thread, answers: queue.SimpleQueue[Any]) -> None:
-    try:
-        thread.start()
-    except RuntimeError as error:
-        answers.put(str(error))
-
-
-def _converse(
-    connect: Callable[[], grpc.Channel],
-    metadata: tuple[tuple[str, str], ...],
-    patience: float,
-    diagnose: Callable[[], str | None],
-    requests: queue.SimpleQueue[Any],
-    answers: queue.SimpleQueue[Any],
-) -> None:
-    """Connect, send the requests up to None, and hand out what comes: in a thread of its own.
-
-    Whoever asks touches the queues alone, which an exception from a signal's handler leaves whole;
-    gRPC's locks would stay locked. First comes _READY, or, for want of a server, None, or a text
-    that tells what stands between; last, when the stream has ended, None or the error.
-    """
-
-    def outgoing() -> Iterator[Any]:
-        yield from (request for request in iter(requests.get, None) if request is not _READY)
-        channel.close()
-
-    def incoming(data: bytes) -> Any:
-        answers.put(response := EnvironmentResponse.FromString(data))
-        return response
-
-    end: BaseException | str | None = None
-    channel = connect()
-    try:
-        # Whatever a server says to this, and be it that it knows no such method, there is one.
-        health = channel.unary_unary(_HEALTH).future(b"", timeout=patience, wait_for_ready=True)
-        health.add_done_callback(lambda call: requests.put(_READY))
-        try:
-            first = requests.get(timeout=_QUICK)
-        except queue.Empty:
-            end = diagnose()
-            if end is not None:
-                return
-            first = requests.get()
-        if first is None or health.code() == grpc.StatusCode.DEADLINE_EXCEEDED:
-            return
-        answers.put(_READY)
-        for _ in channel.stream_stream(
-            _METHOD,
-            request_serializer=EnvironmentRequest.SerializeToString,
-            response_deserializer=incoming,
-        )(outgoing(), metadata=metadata):
-            pass
-    except BaseException as error:
-        end = error
-    finally:
-        requests.put(None)
-        answers.put(end)
-        channel.close()
-
-
 def _parse(address: str, certificate: str | Path | None) -> tuple[str, int, bool]:
     """Host, port, and whether TLS is spoken."""
     if not isinstance(address, str):
@@ -409,11 +314,13 @@ def _is_this_machine(host: str) -> bool:
         return host == "localhost"
 
 
-def _proxy() -> str:
-    """What a message says of the proxy that gRPC leads connections to other machines through."""
-    name = next((name for name in _PROXIES if name in os.environ), None)
-    if name is None or not os.environ[name]:
-        return ""
+def _variable(names: tuple[str, ...]) -> tuple[str, str]:
+    """The first of these environment variables that is set, and what it holds; or nothing."""
+    return next(((name, os.environ[name]) for name in names if name in os.environ), ("", ""))
+
+
+def _told(name: str, value: str) -> str:
+    """What a message says of a proxy."""
     # Without user and password.
-    value = re.sub(r"^(\w+://)?.*@", r"\1", os.environ[name])
+    value = re.sub(r"^(\w+://)?.*@", r"\1", value)
     return f"; {name} = {value} leads there through a proxy, unless no_proxy names the host"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import queue
+import select
 import socket
 import struct
 import threading
@@ -523,10 +524,11 @@ def assert_same(found: Any, expected: Any) -> None:
 
 
 class Proxy:
-    """A proxy that refuses everybody, and keeps what it was sent."""
+    """A proxy that keeps what it was sent, and refuses everybody or leads all to one place."""
 
     def __init__(self) -> None:
         self.received: list[bytes] = []
+        self.place: str | None = None
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         threading.Thread(target=self._serve, daemon=True).start()
@@ -539,7 +541,23 @@ class Proxy:
                 return
             with client:
                 self.received.append(client.recv(65536))
-                client.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\n\r\n")
+                if self.place is None:
+                    client.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\n\r\n")
+                else:
+                    client.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
+                    self._lead(client, self.place)
+
+    def _lead(self, client: socket.socket, place: str) -> None:
+        host, _, port = place.rpartition(":")
+        with socket.create_connection((host, int(port))) as server:
+            other = {client: server, server: client}
+            while True:
+                for end in select.select([client, server], [], [])[0]:
+                    data = end.recv(65536)
+                    if not data:
+                        return
+                    other[end].sendall(data)
+                    self.received.append(data)
 
     def close(self) -> None:
         # Also of the thread that waits in it.

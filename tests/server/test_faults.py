@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import grpc
+import numpy as np
 import pytest
 from clients import (
     PREFACE,
@@ -29,6 +30,8 @@ from clients import (
 )
 from dm_env_rpc.v1 import dm_env_rpc_pb2 as pb
 from octoarm_agents.common.serving import ServerProcess
+
+from octoarm_env.remote import RemoteOctoArm
 
 Code = grpc.StatusCode
 RUNNING, INTERRUPTED = 1, 3
@@ -78,6 +81,16 @@ def test_a_killed_client_s_world_is_freed(server: ServerProcess, world: dict[str
         process.send_signal(signal.SIGKILL)
         process.wait()
         wait_for_levels(server, connections=1, streams=1, worlds=1)
+
+
+def test_an_environment_that_rests_is_not_given_up() -> None:
+    options = ("--keepalive-interval", "0.2", "--keepalive-timeout", "1.5", "--metrics-port", "0")
+    with ServerProcess(*options) as server, Bystander(server):
+        env = RemoteOctoArm(server.address)
+        env.reset(seed=1)
+        time.sleep(3.0)
+        env.step(np.zeros(2))
+        env.close()
 
 
 def test_a_peer_that_stops_answering_is_given_up() -> None:

@@ -361,9 +361,9 @@ def test_too_many_worlds_are_refused() -> None:
 
 
 def test_a_missing_extra_names_the_command() -> None:
-    # As in a Python without grpcio.
+    # As in a Python without protobuf.
     program = (
-        "import sys; sys.modules['grpc'] = None; import octoarm_env\n"
+        "import sys; sys.modules['google.protobuf'] = None; import octoarm_env\n"
         "try: import octoarm_env.remote\n"
         "except ImportError as error: print(error)"
     )
@@ -371,6 +371,27 @@ def test_a_missing_extra_names_the_command() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert 'pip install "octoarm-env[remote]"' in result.stdout
+
+
+def test_a_forked_process_has_no_stream(server: ServerProcess) -> None:
+    program = (
+        "import os, sys\nimport numpy as np\nfrom octoarm_env.remote import RemoteOctoArm\n"
+        "env = RemoteOctoArm(sys.argv[1]); env.reset(seed=1)\n"
+        "child = os.fork()\n"
+        "if not child:\n"
+        "    try: env.step(np.zeros(2))\n"
+        "    except ConnectionError as error: print(error, flush=True)\n"
+        "    env.close(); del env; os._exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "print(env.step(np.zeros(2))[1])\n"
+    )
+    command = [sys.executable, "-c", program, server.address]
+    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    said, reward = result.stdout.splitlines()
+    assert "was opened by the process that this one was forked from" in said
+    local = OctoArmEnv()
+    local.reset(seed=1)
+    assert float(reward) == local.step(np.zeros(2))[1]
 
 
 @pytest.mark.parametrize("ending", ["", "raise SystemExit", "del env; print('freed')"])

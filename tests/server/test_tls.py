@@ -18,6 +18,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from certificates import make_certificate, tls
 from clients import metrics, wait_until
 from octoarm_agents.common.serving import ServerProcess, find_program
 
@@ -25,62 +26,7 @@ from octoarm_env.remote import RemoteOctoArm, RemoteOctoArmVectorEnv
 from octoarm_env.remote.tls import diagnose
 
 ONE, TWO = "token-one-of-the-tests", "token-two-of-the-tests"
-SECTION = """
-[ca]
-default_ca = here
-[here]
-dir = {folder}
-new_certs_dir = {folder}
-database = {folder}/index
-rand_serial = yes
-default_md = sha256
-policy = any
-x509_extensions = names
-[any]
-commonName = supplied
-[names]
-subjectAltName = {names}
-[req]
-distinguished_name = nobody
-[nobody]
-"""
-ALWAYS = ("20200101000000Z", "21000101000000Z")
 PAST, FUTURE = ("20200101000000Z", "20210101000000Z"), ("20900101000000Z", "21000101000000Z")
-
-
-def make_certificate(
-    folder: Path, times: tuple[str, str] = ALWAYS, names: str = "DNS:localhost,IP:127.0.0.1"
-) -> tuple[Path, Path]:
-    """A certificate that signs itself, with its key, for these times and names."""
-    program = shutil.which("openssl")
-    if program is None:
-        pytest.skip("needs the openssl command")
-    folder.mkdir(exist_ok=True)
-    (folder / "index").write_text("")
-    settings, request = folder / "openssl.cnf", folder / "request.pem"
-    settings.write_text(SECTION.format(folder=folder, names=names))
-    certificate, key = folder / "certificate.pem", folder / "key.pem"
-
-    def openssl(*arguments: Any) -> None:
-        words = [program, *map(str, arguments)]
-        subprocess.run(words, check=True, capture_output=True, timeout=60)
-
-    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
-    begin, end = times
-    openssl(
-        *("req", "-new", *curve, "-config", settings, "-subj", "/CN=localhost"),
-        *("-keyout", key, "-out", request),
-    )
-    openssl(
-        *("ca", "-batch", "-selfsign", "-config", settings, "-keyfile", key, "-in", request),
-        *("-startdate", begin, "-enddate", end, "-notext", "-out", certificate),
-    )
-    key.chmod(0o600)
-    return certificate, key
-
-
-def tls(files: tuple[Path, Path]) -> tuple[str, ...]:
-    return ("--tls-certificate", str(files[0]), "--tls-key", str(files[1]))
 
 
 def said(server: ServerProcess, words: str) -> None:
@@ -103,6 +49,7 @@ def secure(good: tuple[Path, Path]) -> Iterator[ServerProcess]:
         yield server
 
 
+@pytest.mark.parametrize("signer", [False, True], ids=["", "signer"])
 @pytest.mark.parametrize(
     ("times", "client", "log"),
     [
@@ -112,9 +59,9 @@ def secure(good: tuple[Path, Path]) -> Iterator[ServerProcess]:
     ids=["expired", "not yet valid"],
 )
 def test_a_certificate_out_of_its_time(
-    tmp_path: Path, times: tuple[str, str], client: str, log: str
+    tmp_path: Path, times: tuple[str, str], client: str, log: str, signer: bool
 ) -> None:
-    files = make_certificate(tmp_path, times)
+    files = make_certificate(tmp_path, times, signer=signer)
     with ServerProcess(*tls(files)) as server:
         # At the start, and again when somebody could not use it.
         said(server, log)
@@ -136,13 +83,31 @@ def test_a_certificate_that_nobody_trusts(secure: ServerProcess, tmp_path: Path)
         RemoteOctoArm(f"https://{secure.address}", certificate=rubbish)
 
 
-def test_a_certificate_for_other_names(tmp_path: Path) -> None:
-    files = make_certificate(tmp_path, names="DNS:arm.example")
+@pytest.mark.parametrize("signer", [False, True], ids=["", "signer"])
+def test_a_certificate_for_other_names(tmp_path: Path, signer: bool) -> None:
+    files = make_certificate(tmp_path, names="DNS:arm.example", signer=signer)
     with (
         ServerProcess(*tls(files)) as server,
         pytest.raises(ConnectionError, match="is for other names"),
     ):
         RemoteOctoArm(f"https://{server.address}", certificate=files[0])
+
+
+def test_the_certificate_that_the_documents_make(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "server.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^(openssl req -x509(?:.*\\\n)*.*)", page, re.MULTILINE)
+    subprocess.run(command, shell=True, cwd=tmp_path, check=True, capture_output=True)
+    files = (tmp_path / "certificate.pem", tmp_path / "key.pem")
+    with ServerProcess(*tls(files)) as server:
+        address = f"https://{server.address}"
+        env = RemoteOctoArm(address, certificate=files[0])
+        env.reset(seed=1)
+        env.close()
+        words = [address, "--certificate", str(files[0]), "--seconds", "0.05"]
+        subprocess.run([find_program("octoarm-load"), *words], check=True, capture_output=True)
+        other = make_certificate(tmp_path / "other", signer=True)[0]
+        with pytest.raises(ConnectionError, match="certificate is not signed by one that is trust"):
+            RemoteOctoArm(address, certificate=other)
 
 
 def test_plaintext_to_tls_and_tls_to_plaintext(

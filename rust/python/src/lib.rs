@@ -1,4 +1,5 @@
-//! Python's view of the arm and the episode: arrays in, arrays out, errors mapped, GIL released.
+//! Python's view of the arm and the episode: arrays in, arrays out, errors mapped, GIL released; and of a
+//! stream to a server.
 
 mod arm;
 mod arm_batch;
@@ -8,6 +9,7 @@ mod episode_batch;
 mod errors;
 mod infos;
 mod reach;
+mod stream;
 
 /// The compiled core of `octoarm_env`; use the typed package around it.
 #[pyo3::pymodule]
@@ -32,6 +34,8 @@ mod _core {
     use crate::reach::{
         ReachBatch, check_reach_actions, drawn_reach_bodies, reach_rewards, reachable_goals,
     };
+    #[pymodule_export]
+    use crate::stream::Stream;
 
     /// The named bodies with all their parameters, as JSON text.
     #[pyfunction]

@@ -14,6 +14,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
+use http::Uri;
+use octoarm_client::connect;
 use octoarm_env::{Episode, EpisodeConfig};
 use octoarm_server::protocol::environment_client::EnvironmentClient;
 use octoarm_server::protocol::environment_request::Payload as Request;
@@ -27,10 +29,11 @@ use tokio::sync::{Barrier, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
 use tonic::metadata::{Ascii, MetadataValue};
-use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 
 type Failure = Box<dyn Error + Send + Sync>;
 
+/// Where a server listens if it is told nothing else.
+const PORT: u16 = 50051;
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Steps before anything is timed.
@@ -64,9 +67,9 @@ struct Options {
 }
 
 /// Where the server is, and what opens it.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 struct Access {
-    endpoint: Endpoint,
+    server: octoarm_client::Access,
     authorization: Option<MetadataValue<Ascii>>,
 }
 
@@ -76,21 +79,27 @@ impl Access {
             std::fs::read_to_string(path)
                 .map_err(|error| format!("{name} {}: {error}", path.display()))
         };
-        let mut endpoint = Endpoint::from_shared(options.address.clone())?.tcp_nodelay(true);
-        if let Some(path) = &options.certificate {
-            let certificate = Certificate::from_pem(read("--certificate", path)?);
-            endpoint = endpoint.tls_config(ClientTlsConfig::new().ca_certificate(certificate))?;
-        }
+        let address: Uri = options.address.parse()?;
+        let host = address.host().ok_or_else(|| format!("{address}: expected http://HOST:PORT"))?;
+        let roots = options.certificate.as_ref().map(|path| read("--certificate", path));
         let token = match &options.token_file {
             Some(path) => Some(read("--token-file", path)?),
             None => std::env::var("OCTOARM_TOKEN").ok(),
         };
-        let authorization = token.map(|token| -> Result<_, Failure> {
+        let authorization = token.as_ref().map(|token| -> Result<_, Failure> {
             let mut value: MetadataValue<Ascii> = format!("Bearer {}", token.trim()).parse()?;
             value.set_sensitive(true);
             Ok(value)
         });
-        Ok(Self { endpoint, authorization: authorization.transpose()? })
+        let server = octoarm_client::Access {
+            host: host.trim_matches(['[', ']']).to_owned(),
+            port: address.port_u16().unwrap_or(PORT),
+            encrypted: address.scheme_str() == Some("https"),
+            roots: roots.transpose()?.map(String::into_bytes),
+            token,
+            proxy: None,
+        };
+        Ok(Self { server, authorization: authorization.transpose()? })
     }
 }
 
@@ -130,7 +139,7 @@ impl Client {
     }
 
     async fn new(options: &Options, access: &Access) -> Result<Self, Failure> {
-        let channel: Channel = access.endpoint.connect().await?;
+        let channel = connect(&access.server).await.map_err(|ending| ending.details)?;
         let endless = Tensor {
             payload: Some(Payload::Int64s(Int64Array { array: vec![-1] })),
             shape: vec![],

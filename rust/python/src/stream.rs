@@ -1,0 +1,96 @@
+//! A stream to a server, for Python: waiting releases the GIL and ends with Ctrl-C.
+
+use std::time::{Duration, Instant};
+
+use octoarm_client::{Access, Ending, Event, Stream as Inner};
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+/// The one method of the protocol.
+const METHOD: &str = "/dm_env_rpc.v1.Environment/Process";
+
+/// Longest time after which Python's signals are looked for.
+const SLICE: Duration = Duration::from_millis(20);
+
+/// A message, or how the stream ended: the name of gRPC's code, and what is told.
+#[derive(IntoPyObject)]
+enum Received<'py> {
+    Message(Bound<'py, PyBytes>),
+    Ended((String, String)),
+}
+
+/// A stream to a server of dm_env_rpc; messages are bytes. It ends with the object.
+#[pyclass(frozen, module = "octoarm_env._core")]
+pub(crate) struct Stream {
+    inner: Inner,
+}
+
+/// A time from Python \[s\].
+fn seconds(name: &str, value: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(value).map_err(|error| {
+        PyValueError::new_err(format!("{name} = {value}: expected a time [s]: {error}"))
+    })
+}
+
+impl Stream {
+    /// What comes next, within a time.
+    fn next(&self, py: Python<'_>, patience: Duration) -> PyResult<Option<Event>> {
+        // A time too long to be reckoned with is one without end.
+        let end = Instant::now().checked_add(patience);
+        loop {
+            let left = end.map_or(SLICE, |end| end.saturating_duration_since(Instant::now()));
+            let event = py.detach(|| self.inner.next(left.min(SLICE)));
+            if event.is_some() || left.is_zero() {
+                return Ok(event);
+            }
+            py.check_signals()?;
+        }
+    }
+}
+
+#[pymethods]
+impl Stream {
+    #[new]
+    #[pyo3(signature = (host, port, encrypted, roots, token, proxy, patience))]
+    #[expect(clippy::too_many_arguments, reason = "Python calls it by name")]
+    fn new(
+        host: String,
+        port: u16,
+        encrypted: bool,
+        roots: Option<Vec<u8>>,
+        token: Option<String>,
+        proxy: Option<(String, String)>,
+        patience: f64,
+    ) -> PyResult<Self> {
+        let access = Access { host, port, encrypted, roots, token, proxy };
+        let inner = Inner::open(access, METHOD, seconds("patience", patience)?);
+        Ok(Self { inner: inner.map_err(PyOSError::new_err)? })
+    }
+
+    /// Waits until a server is there, at most so long [s]; whether it is.
+    fn ready(&self, py: Python<'_>, timeout: f64) -> PyResult<bool> {
+        Ok(self.next(py, seconds("timeout", timeout)?)? == Some(Event::Ready))
+    }
+
+    /// Sends a message.
+    fn send(&self, message: &[u8]) {
+        self.inner.send(message.to_vec().into());
+    }
+
+    /// Waits for the next message, at most so long [s]; None if there was none.
+    fn receive<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Option<Received<'py>>> {
+        Ok(match self.next(py, seconds("timeout", timeout)?)? {
+            None | Some(Event::Ready) => None,
+            Some(Event::Message(message)) => Some(Received::Message(PyBytes::new(py, &message))),
+            Some(Event::Ended(Ending { code, details, .. })) => {
+                Some(Received::Ended((code, details)))
+            }
+        })
+    }
+
+    /// Ends the stream.
+    fn close(&self) {
+        self.inner.close();
+    }
+}
