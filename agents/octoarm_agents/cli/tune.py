@@ -67,7 +67,7 @@ def tune(
         from octoarm_agents.rl.tuning import tune_algorithm
 
     folder = output_folder(out or Path("out/tune") / algorithm)
-    given = {"trials": trials, "minutes": minutes, "steps": steps, "seed": seed}
+    given: dict[str, Any] = {"trials": trials, "minutes": minutes, "steps": steps, "seed": seed}
     search(
         lambda **where: tune_algorithm(algorithm, folder, **given, **where),
         f"study.json and {algorithm}.yml into {folder}",

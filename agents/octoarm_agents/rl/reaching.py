@@ -89,7 +89,7 @@ def train_reaching(
         OSError: the folder cannot be written to.
     """
     given = hyperparameters or Hyperparameters.load(algorithm, env_id=REACH_ID)
-    wanted = {
+    wanted: dict[str, Any] = {
         "algorithm": algorithm,
         "steps": whole_number("steps", given.steps if steps is None else steps, 1),
         "seed": whole_number("seed", seed),
@@ -160,7 +160,9 @@ class _Run(BaseCallback):
         left = self.wanted["steps"] - self.model.num_timesteps
         self.begun = time.perf_counter()
         self.model.learn(left, callback=self, reset_num_timesteps=saved is None)
-        self.evaluate(finished=True)
+        # More than one where rollouts are too long for so many evaluations.
+        while len(self.curve) < self.wanted["evaluations"]:
+            self.evaluate()
         return self.summary
 
     def make_model(self) -> Any:
@@ -184,7 +186,7 @@ class _Run(BaseCallback):
         """Steps of all environments together."""
         return int(self.model.num_timesteps)
 
-    def evaluate(self, finished: bool = False) -> None:
+    def evaluate(self) -> None:
         """Judge the policy as it is, and save all that the rest of the training depends on."""
         self.seconds += time.perf_counter() - self.begun
         wanted, done = self.wanted, self.num_done()
@@ -204,7 +206,7 @@ class _Run(BaseCallback):
             "hyperparameters": wanted["hyperparameters"],
             "parameters": network.parameter_count,
             "curve": list(self.curve),
-            "finished": finished,
+            "finished": done >= wanted["steps"],
             "resumed": self.resumed,
             "versions": package_versions(
                 "octoarm-env", "octoarm-agents", "stable-baselines3", "torch", "numpy"
@@ -212,9 +214,13 @@ class _Run(BaseCallback):
             "machine": describe_machine(),
         }
         write_json(self.out / "training.json", self.summary)
-        state = {"training": wanted, "curve": self.curve}
-        state |= {"seconds": self.seconds, "resumed": self.resumed}
-        state |= training_state(self.model, self.envs, self.monitor, self.arms)
+        state = {
+            "training": wanted,
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "resumed": self.resumed,
+            **training_state(self.model, self.envs, self.monitor, self.arms),
+        }
         write_checkpoint(self.checkpoint, self.model, state)
         self.progress(self.curve[-1])
         self.begun = time.perf_counter()
