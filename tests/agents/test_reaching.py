@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from octoarm_agents.cli import app
+from octoarm_agents.comparison.reaching import compare_reaching
 from octoarm_agents.policies import reaching
 from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.reaching import (
@@ -250,6 +251,16 @@ def test_comparison_and_film(samples: Any, tmp_path: Any, monkeypatch: pytest.Mo
     found = json.loads((tmp_path / "reaching.json").read_text())
     assert found["agents"]["sac"]["success"]["values"] == [0.5, 0.5]
     assert set(found["baselines"]) == set(BASELINES)
+    judged_elsewhere = training | {"algorithm": "sac", "validation": True}
+    for name, each in {"ppo-0": training | {"algorithm": "ppo"}, "sac-0": judged_elsewhere}.items():
+        (tmp_path / "others" / name).mkdir(parents=True)
+        (tmp_path / "others" / name / "training.json").write_text(json.dumps(each))
+    again = compare_reaching(tmp_path / "others", tmp_path)
+    assert set(again["agents"]) == {"sac", "ppo"}
+    assert again["agents"]["sac"] == found["agents"]["sac"]
+    (tmp_path / "sac-1" / "training.json").write_text(json.dumps(training | {"steps": 20}))
+    with pytest.raises(ValueError, match="other steps than seed 0"):
+        compare_reaching(tmp_path, tmp_path)
     assert (tmp_path / "reaching.png").stat().st_size > 10_000
     out = tmp_path / "wave.gif"
     told = runner.invoke(app, ["reach", "film", "wave", "--episodes", "1", "--out", str(out)])

@@ -180,7 +180,11 @@ def compare(
     folder: Annotated[Path, typer.Argument(help="Folder of trainings.")] = Path("out/reach"),
     out: Annotated[Path, result_folder("reaching.json and reaching.png")] = Path("out/reach"),
 ) -> None:
-    """Compare finished trainings with the baselines, in a table, a JSON file and a picture."""
+    """Compare finished trainings with the baselines, in a table, a JSON file and a picture.
+
+    The trainings of an algorithm may differ in their seeds alone. One that the folder has no
+    training of is kept as an earlier reaching.json has it.
+    """
     from rich.console import Console
 
     from octoarm_agents.cli.printing import new_table
