@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from octoarm_agents.cli import app
+from octoarm_agents.comparison.reaching import compare_reaching
 from octoarm_agents.policies import reaching
 from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.reaching import (
@@ -20,8 +22,10 @@ from octoarm_agents.policies.reaching import (
     held_out_goals,
     load_reaching,
     sample_reachable,
+    search_goals,
     thin,
     train_goals,
+    validation_goals,
 )
 from typer.testing import CliRunner
 
@@ -44,6 +48,10 @@ def test_no_goal_is_both_for_learning_and_for_judging() -> None:
     assert learnt | judged == set(map(tuple, reachable_goals()))
     assert not learnt & judged
     assert len(judged) > 300
+    searched, validated = (set(map(tuple, each)) for each in (search_goals(), validation_goals()))
+    assert searched | validated == learnt
+    assert not searched & validated
+    assert len(validated) > 250
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +133,7 @@ def test_training_gives_what_stable_baselines3_does(algorithm: Any, tmp_path: An
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Box's precision, in stable-baselines3's spaces
         patch.setattr(training, "export_goal_network", spy)
-        patch.setattr(training, "evaluate_reaching", lambda policy: {"success": 0.0})
+        patch.setattr(training, "evaluate_reaching", lambda policy, goals: {"success": 0.0})
         summary = training.train_reaching(algorithm, tmp_path, steps=3_300, evaluations=1)
         assert json.loads((tmp_path / "training.json").read_text())["finished"]
         assert summary["curve"][-1]["steps"] >= 3_300
@@ -144,6 +152,15 @@ SMALL = {
 }
 
 
+def small(algorithm: str) -> Any:
+    """Hyper-parameters with which a test trains."""
+    from octoarm_agents.rl.hyperparameters import REACH_ID, Hyperparameters
+
+    start = Hyperparameters.load(algorithm, env_id=REACH_ID)
+    changes = SMALL[algorithm] | {"policy_kwargs": {"net_arch": [8]}, "learning_rate": "lin_0.001"}
+    return replace(start, num_envs=4, arguments=start.arguments | changes)
+
+
 @pytest.mark.parametrize("algorithm", ["sac", "ppo"])
 def test_a_killed_training_goes_on_as_if_nothing_had_been(
     algorithm: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
@@ -156,22 +173,17 @@ def test_a_killed_training_goes_on_as_if_nothing_had_been(
 
     doomed = False
 
-    def judge(policy: GoalPolicy) -> dict[str, float]:
+    def judge(policy: GoalPolicy, goals: Any) -> dict[str, float]:
         if doomed and policy.training["steps"] > 1_500:
             raise Killed
-        return evaluate_reaching(policy, goals)
+        return evaluate_reaching(policy, goals[:3])
 
     warnings.simplefilter("ignore")  # Box's precision, in stable-baselines3's spaces
-    monkeypatch.setitem(training._ARMS, algorithm, 4)
-    given = training._SAC if algorithm == "sac" else training._PPO
-    changes = SMALL[algorithm] | {"policy_kwargs": {"net_arch": [8]}}
-    for name, value in changes.items():
-        monkeypatch.setitem(given, name, value)
-    goals = held_out_goals()[:3]
     monkeypatch.setattr(training, "evaluate_reaching", judge)
     # Killed before the third evaluation it goes on from the second, after 313 steps of each arm: in
     # the middle of its episode of 100, when SAC's buffer is written over for the first time.
     call: dict[str, Any] = {"steps": 2_500, "seed": 3, "evaluations": 4}
+    call["hyperparameters"] = small(algorithm)
     whole = training.train_reaching(algorithm, tmp_path / "whole", **call)
     doomed = True
     with pytest.raises(Killed):
@@ -239,6 +251,16 @@ def test_comparison_and_film(samples: Any, tmp_path: Any, monkeypatch: pytest.Mo
     found = json.loads((tmp_path / "reaching.json").read_text())
     assert found["agents"]["sac"]["success"]["values"] == [0.5, 0.5]
     assert set(found["baselines"]) == set(BASELINES)
+    judged_elsewhere = training | {"algorithm": "sac", "validation": True}
+    for name, each in {"ppo-0": training | {"algorithm": "ppo"}, "sac-0": judged_elsewhere}.items():
+        (tmp_path / "others" / name).mkdir(parents=True)
+        (tmp_path / "others" / name / "training.json").write_text(json.dumps(each))
+    again = compare_reaching(tmp_path / "others", tmp_path)
+    assert set(again["agents"]) == {"sac", "ppo"}
+    assert again["agents"]["sac"] == found["agents"]["sac"]
+    (tmp_path / "sac-1" / "training.json").write_text(json.dumps(training | {"steps": 20}))
+    with pytest.raises(ValueError, match="other steps than seed 0"):
+        compare_reaching(tmp_path, tmp_path)
     assert (tmp_path / "reaching.png").stat().st_size > 10_000
     out = tmp_path / "wave.gif"
     told = runner.invoke(app, ["reach", "film", "wave", "--episodes", "1", "--out", str(out)])

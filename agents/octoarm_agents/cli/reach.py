@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from octoarm_agents.cli.options import (
+    ClusterAddress,
     Seed,
     need_extra,
     number,
@@ -18,6 +18,7 @@ from octoarm_agents.cli.options import (
     result_file,
     result_folder,
 )
+from octoarm_agents.cli.tune import Minutes, TrialJobs, Trials, search, trial_steps
 from octoarm_agents.common.progress import progress_bar
 
 app = typer.Typer(
@@ -26,8 +27,11 @@ app = typer.Typer(
 )
 
 _OWN = "the algorithm's own"
+_FILE = "YAML file of hyper-parameters, as octoarm reach tune writes it."
+_STUDY = "Folder for study.json, with every trial, and reach_ALGORITHM.yml, the best."
 _EVALUATIONS = "Evaluations, at equal intervals, each with a checkpoint."
 _RESUME = "Go on from the folder's checkpoint where there is one."
+ReachAlgorithm = Annotated[Literal["sac", "ppo"], typer.Argument(help="sac, with HER; or ppo.")]
 PolicyArgument = Annotated[
     str, typer.Argument(help="still, random, wave, nearest; sac, which comes along; or policy.npz.")
 ]
@@ -65,7 +69,7 @@ def goals(
 
 @app.command()
 def train(
-    algorithm: Annotated[Literal["sac", "ppo"], typer.Argument(help="sac, with HER; or ppo.")],
+    algorithm: ReachAlgorithm,
     steps: Annotated[
         int | None, number("Environment steps.", 1_000, 1_000_000_000, show_default=_OWN)
     ] = None,
@@ -74,6 +78,9 @@ def train(
         Path | None, typer.Option(help="Folder.", show_default="out/reach/ALGORITHM-SEED")
     ] = None,
     evaluations: Annotated[int, number(_EVALUATIONS, 1, 1000)] = 10,
+    hyperparameters: Annotated[
+        Path | None, typer.Option(help=_FILE, show_default="those tuned here")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help=_RESUME)] = False,
 ) -> None:
     """Train an agent to reach, on four fifths of the goals; it is judged on the others.
@@ -86,31 +93,71 @@ def train(
     replay buffer with its episodes too: 150 MB after 100,000 steps.
     """
     with need_extra("rl"):
-        from octoarm_agents.rl.reaching import STEPS, train_reaching
+        from octoarm_agents.rl.hyperparameters import REACH_ID, Hyperparameters
+        from octoarm_agents.rl.reaching import train_reaching
     folder = output_folder(out or Path("out/reach") / f"{algorithm}-{seed}")
-    total = steps or STEPS[algorithm]
-    with refused(), progress_bar(total, algorithm, unit="step", unit_scale=True) as bar:
+    with refused():
+        given = Hyperparameters.load(algorithm, hyperparameters, REACH_ID)
+        total = steps or given.steps
+        with progress_bar(total, algorithm, unit="step", unit_scale=True) as bar:
 
-        def progress(done: int, success: float) -> None:
-            bar.update(min(done, total) - bar.n)
-            if not math.isnan(success):
-                bar.set_postfix_str(f"{success:.0%} reach")
+            def progress(point: dict[str, float]) -> None:
+                bar.update(min(int(point["steps"]), total) - bar.n)
+                bar.set_postfix_str(f"{point['success']:.0%} reach")
 
-        summary = train_reaching(
-            algorithm,
-            folder,
-            steps=steps,
-            seed=seed,
-            evaluations=evaluations,
-            resume=resume,
-            progress=progress,
-        )
+            summary = train_reaching(
+                algorithm,
+                folder,
+                steps=steps,
+                seed=seed,
+                evaluations=evaluations,
+                hyperparameters=given,
+                resume=resume,
+                progress=progress,
+            )
     last = summary["curve"][-1]
     typer.echo(
         f"Trained {last['steps']:,} steps in {last['seconds']:.0f} s: {last['success']:.1%} of the "
         f"held-out goals are reached, {last['held']:.1%} held for a second."
     )
     typer.echo(f"Wrote {folder / 'policy.npz'}.")
+
+
+@app.command()
+def tune(
+    algorithm: ReachAlgorithm,
+    trials: Trials = None,
+    minutes: Minutes = 30.0,
+    steps: Annotated[int | None, trial_steps("sac 30,000; ppo 192,000")] = None,
+    seed: Seed = 0,
+    cluster: ClusterAddress = None,
+    jobs: TrialJobs = None,
+    out: Annotated[
+        Path | None, typer.Option(help=_STUDY, show_default="out/reach-tune/ALGORITHM")
+    ] = None,
+) -> None:
+    """Search hyper-parameters (Optuna's TPE) by short trainings.
+
+    A trial learns from four fifths of the goals to learn on and is judged on
+    the rest of these; the held-out goals are not seen. Its value is the mean of
+    the shares reached and held for a second. Trials behind the others are given
+    up, as by octoarm tune. The first trial is what octoarm reach train uses now.
+    The same call goes on where it was interrupted.
+
+    Use the result with octoarm reach train ALGORITHM --hyperparameters FILE.
+    """
+    with need_extra("rl"):
+        from octoarm_agents.rl.reach_tuning import tune_reaching
+
+    folder = output_folder(out or Path("out/reach-tune") / algorithm)
+    given: dict[str, Any] = {"trials": trials, "minutes": minutes, "steps": steps, "seed": seed}
+    search(
+        lambda **where: tune_reaching(algorithm, folder, **given, **where),
+        f"study.json and reach_{algorithm}.yml into {folder}",
+        "{:.1%}",
+        cluster,
+        jobs,
+    )
 
 
 @app.command()
@@ -133,7 +180,11 @@ def compare(
     folder: Annotated[Path, typer.Argument(help="Folder of trainings.")] = Path("out/reach"),
     out: Annotated[Path, result_folder("reaching.json and reaching.png")] = Path("out/reach"),
 ) -> None:
-    """Compare finished trainings with the baselines, in a table, a JSON file and a picture."""
+    """Compare finished trainings with the baselines, in a table, a JSON file and a picture.
+
+    The trainings of an algorithm may differ in their seeds alone. One that the folder has no
+    training of is kept as an earlier reaching.json has it.
+    """
     from rich.console import Console
 
     from octoarm_agents.cli.printing import new_table

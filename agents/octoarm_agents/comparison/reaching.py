@@ -30,6 +30,8 @@ def compare_reaching(
 ) -> dict[str, Any]:
     """Gather finished trainings, judge the baselines, and write ``reaching.json`` and ``.png``.
 
+    An algorithm that `folder` has no training of is kept as it stands in ``reaching.json``.
+
     Args:
         folder: holds folders of `octoarm reach train`, whose names begin with the algorithm's.
         out: for the files.
@@ -39,15 +41,10 @@ def compare_reaching(
         What ``reaching.json`` holds.
 
     Raises:
-        ValueError: no finished training is in the folder.
+        ValueError: no finished training is in the folder, or some of one algorithm that differ in
+            more than their seeds.
     """
-    trainings: dict[str, list[dict[str, Any]]] = {}
-    for path in sorted(folder.glob("*/training.json")):
-        training = json.loads(path.read_text(encoding="utf-8"))
-        if training.get("finished"):
-            trainings.setdefault(training["algorithm"], []).append(training)
-    if not trainings:
-        raise ValueError(f"{folder} holds no finished training: run octoarm reach train")
+    trainings = _finished(folder)
     baselines = {}
     for name, make in BASELINES.items():
         if progress is not None:
@@ -56,7 +53,7 @@ def compare_reaching(
     result = {
         "goals": len(held_out_goals()),
         "baselines": baselines,
-        "agents": {name: _summary(each) for name, each in trainings.items()},
+        "agents": _kept(out) | {name: _summary(each) for name, each in trainings.items()},
         "command": "octoarm reach compare",
         "versions": package_versions(
             "octoarm-env", "octoarm-agents", "stable-baselines3", "torch", "numpy"
@@ -66,6 +63,32 @@ def compare_reaching(
     write_json(out / "reaching.json", result)
     write_atomically(out / "reaching.png", draw_reaching(result).savefig)
     return result
+
+
+def _finished(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The trainings by algorithm; those that are judged on other goals are left out."""
+    trainings: dict[str, list[dict[str, Any]]] = {}
+    for path in sorted(folder.glob("*/training.json")):
+        training = json.loads(path.read_text(encoding="utf-8"))
+        if not training.get("finished") or training.get("validation"):
+            continue
+        alike = trainings.setdefault(training["algorithm"], [])
+        for name in ("hyperparameters", "steps"):
+            if alike and training.get(name) != alike[0].get(name):
+                raise ValueError(f"{path} has other {name} than seed {alike[0]['seed']} there")
+        alike.append(training)
+    if not trainings:
+        raise ValueError(f"{folder} holds no finished training: run octoarm reach train")
+    return trainings
+
+
+def _kept(out: Path) -> dict[str, Any]:
+    """The agents of an earlier comparison."""
+    file = out / "reaching.json"
+    if not file.exists():
+        return {}
+    agents: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["agents"]
+    return agents
 
 
 def _summary(trainings: list[dict[str, Any]]) -> dict[str, Any]:

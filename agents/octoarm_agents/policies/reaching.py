@@ -49,6 +49,16 @@ def held_out_goals() -> Float:
     return reachable_goals()[::5]
 
 
+def validation_goals() -> Float:
+    """Every fifth of `train_goals`, by which a search for hyper-parameters judges, (K, 3) [m]."""
+    return train_goals()[::5]
+
+
+def search_goals() -> Float:
+    """The other four fifths of `train_goals`, on which such a search trains, (K, 3) [m]."""
+    return np.delete(train_goals(), np.s_[::5], axis=0)
+
+
 def sample_reachable(
     count: int, seed: int, progress: Callable[[int], Any] | None = None
 ) -> tuple[Float, Float]:

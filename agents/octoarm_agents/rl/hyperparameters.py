@@ -1,10 +1,11 @@
 """Hyper-parameters of the algorithms: YAML files in the format of rl-baselines3-zoo.
 
-A file is keyed by environment id. Under ``OctoArm-v0`` it holds the arguments of the algorithm's
-class, and beside them ``n_timesteps``, ``n_envs``, ``policy``, ``normalize`` (arguments of
-`VecNormalize`, true or false) and ``env_kwargs``: arguments of the environments that are trained
-in, while evaluation keeps to the standard episode. A number written ``lin_0.001`` falls linearly to
-zero over the training. The same file trains with the zoo: ``rl_zoo3 train --conf-file FILE``.
+A file is keyed by environment id. Under ``OctoArm-v0``, or ``OctoArmReach-v0``, it holds the
+arguments of the algorithm's class, and beside them ``n_timesteps``, ``n_envs``, ``policy``,
+``normalize`` (arguments of `VecNormalize`, true or false) and ``env_kwargs``: arguments of the
+environments that are trained in, while evaluation keeps to the standard episode. A number written
+``lin_0.001`` falls linearly to zero over the training. The same file trains with the zoo:
+``rl_zoo3 train --conf-file FILE``.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ from typing import Any
 
 import yaml
 from sb3_contrib import TQC, RecurrentPPO
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.utils import LinearSchedule
 
 from octoarm_agents.common.environment import ENV_ID
 
 _CLASSES = {"ppo": PPO, "sac": SAC, "tqc": TQC, "recurrent_ppo": RecurrentPPO}
+
+REACH_ID = "OctoArmReach-v0"
+"""The environment of the arm that reaches."""
 
 ALGORITHMS = tuple(_CLASSES)
 """Those that `octoarm train` knows."""
@@ -39,9 +43,13 @@ def algorithm_class(algorithm: str) -> Any:
     return _CLASSES[algorithm]
 
 
-def hyperparameter_file(algorithm: str) -> Path:
-    """The file with the hyper-parameters that were tuned for an algorithm."""
-    return Path(__file__).parent / "hyperparameters" / f"{algorithm}.yml"
+_PREFIXES = {ENV_ID: "", REACH_ID: "reach_"}
+_BUFFERS = {"HerReplayBuffer": HerReplayBuffer}
+
+
+def hyperparameter_file(algorithm: str, env_id: str = ENV_ID) -> Path:
+    """The file with the hyper-parameters that were tuned for an algorithm and an environment."""
+    return Path(__file__).parent / "hyperparameters" / f"{_PREFIXES[env_id]}{algorithm}.yml"
 
 
 @dataclass(frozen=True)
@@ -65,27 +73,30 @@ class Hyperparameters:
     arguments: dict[str, Any]
 
     @classmethod
-    def load(cls, algorithm: str, path: str | os.PathLike[str] | None = None) -> Hyperparameters:
+    def load(
+        cls, algorithm: str, path: str | os.PathLike[str] | None = None, env_id: str = ENV_ID
+    ) -> Hyperparameters:
         """Read them from a file.
 
         Args:
             algorithm: one of `ALGORITHMS`.
             path: the file; None: the one that comes with this distribution.
+            env_id: of the environment: `ENV_ID` or `REACH_ID`.
 
         Raises:
             ValueError: a file that is no such YAML; the message says what is wrong.
             OSError: the file cannot be read.
         """
         algorithm_class(algorithm)
-        file = hyperparameter_file(algorithm) if path is None else Path(path)
+        file = hyperparameter_file(algorithm, env_id) if path is None else Path(path)
         try:
             content = yaml.safe_load(file.read_text(encoding="utf-8"))
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise ValueError(f"{file} is no YAML: {error}") from None
-        if not isinstance(content, dict) or not isinstance(content.get(ENV_ID), dict):
-            raise ValueError(f"{file} has no entry {ENV_ID!r}")
+        if not isinstance(content, dict) or not isinstance(content.get(env_id), dict):
+            raise ValueError(f"{file} has no entry {env_id!r}")
         try:
-            return cls.from_entries(content[ENV_ID])
+            return cls.from_entries(content[env_id])
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from None
 
@@ -131,9 +142,21 @@ class Hyperparameters:
         return [name for name, value in self.arguments.items() if _falls(value)]
 
     def model_arguments(self) -> dict[str, Any]:
-        """Give the arguments of the algorithm's class, schedules made."""
+        """Give the arguments of the algorithm's class, schedules made and classes found.
+
+        Raises:
+            ValueError: a replay buffer that is not known.
+        """
         # A copy: stable-baselines3 adds to what it is given.
-        return {name: _schedule(value) for name, value in copy.deepcopy(self.arguments).items()}
+        made = {name: _schedule(value) for name, value in copy.deepcopy(self.arguments).items()}
+        buffer = made.get("replay_buffer_class")
+        if buffer is not None:
+            if buffer not in _BUFFERS:
+                raise ValueError(
+                    f"replay_buffer_class = {buffer!r}: expected one of {tuple(_BUFFERS)}"
+                )
+            made["replay_buffer_class"] = _BUFFERS[buffer]
+        return made
 
 
 def _falls(value: Any) -> bool:

@@ -11,17 +11,23 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RescaleAction
-from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from octoarm_agents.common.files import write_json
 from octoarm_agents.common.provenance import describe_machine, package_versions
+from octoarm_agents.common.whole import whole_number
 from octoarm_agents.policies.network import Network
 from octoarm_agents.policies.reaching import (
     KEYS,
     GoalPolicy,
     evaluate_reaching,
+    held_out_goals,
+    search_goals,
     train_goals,
+    validation_goals,
 )
 from octoarm_agents.rl.checkpoint import (
     read_checkpoint,
@@ -30,37 +36,13 @@ from octoarm_agents.rl.checkpoint import (
     write_checkpoint,
 )
 from octoarm_agents.rl.export import layers_of
+from octoarm_agents.rl.hyperparameters import REACH_ID, Hyperparameters, algorithm_class
 from octoarm_agents.rl.sb3_vec_env import Sb3VecEnv
 from octoarm_agents.rl.task import check_same, finished_summary, open_folder
 from octoarm_env.reach import OctoArmReachVectorEnv
 
 Algorithm = Literal["sac", "ppo"]
-
-STEPS: dict[Algorithm, int] = {"sac": 100_000, "ppo": 1_000_000}
-"""Of all environments together, where nothing else is asked for."""
-
-_SAC: dict[str, Any] = {
-    "replay_buffer_class": HerReplayBuffer,
-    "replay_buffer_kwargs": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
-    "learning_starts": 3_200,
-    "batch_size": 256,
-    "gamma": 0.95,
-    "tau": 0.01,
-    "train_freq": 1,
-    "gradient_steps": 4,
-    "learning_rate": 1e-3,
-    "buffer_size": 300_000,
-    "policy_kwargs": {"net_arch": [256, 256]},
-}
-_PPO: dict[str, Any] = {
-    "n_steps": 50,
-    "batch_size": 800,
-    "n_epochs": 10,
-    "gamma": 0.97,
-    "learning_rate": 3e-4,
-    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -1.0},
-}
-_ARMS: dict[Algorithm, int] = {"sac": 16, "ppo": 64}
+Progress = Callable[[dict[str, float]], Any]
 
 
 def train_reaching(
@@ -70,8 +52,10 @@ def train_reaching(
     steps: int | None = None,
     seed: int = 0,
     evaluations: int = 10,
+    hyperparameters: Hyperparameters | None = None,
+    validation: bool = False,
     resume: bool = False,
-    progress: Callable[[int, float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Train an agent to reach; one thread computes, so that a seed gives the same curve.
 
@@ -85,116 +69,161 @@ def train_reaching(
         out: folder for ``policy.npz``, ``training.json`` and ``checkpoint.zip``, all written
             anew at every evaluation, each whole or not at all. The checkpoint holds the replay
             buffer of SAC too: 1.5 kB a step, of the last 300,000.
-        steps: of all environments together; None: those of `STEPS`.
+        steps: of all environments together; None: those of the hyper-parameters.
         seed: of everything random.
         evaluations: at equal intervals.
+        hyperparameters: None: those that come with this distribution.
+        validation: learn from `search_goals` and be judged on `validation_goals`, as a search for
+            hyper-parameters does; held-out goals are then not seen.
         resume: go on with the training in `out` from its checkpoint; begin it if it has none. One
             that is finished is not trained again.
-        progress: called with the steps done and the last success.
+        progress: called after every evaluation with its point of the curve.
 
     Returns:
         What ``training.json`` holds.
 
     Raises:
-        ValueError: a folder that holds another training, or this one without `resume`; a checkpoint
-            that is damaged.
+        ValueError: numbers out of their range; hyper-parameters that the algorithm does not know; a
+            folder that holds another training, or this one without `resume`; a checkpoint that is
+            damaged.
         OSError: the folder cannot be written to.
     """
-    total = STEPS[algorithm] if steps is None else steps
-    wanted = {
+    given = hyperparameters or Hyperparameters.load(algorithm, env_id=REACH_ID)
+    wanted: dict[str, Any] = {
         "algorithm": algorithm,
-        "steps": total,
-        "seed": seed,
-        "evaluations": evaluations,
-        "envs": _ARMS[algorithm],
-        "hyperparameters": _hyperparameters(algorithm),
+        "steps": whole_number("steps", given.steps if steps is None else steps, 1),
+        "seed": whole_number("seed", seed),
+        "evaluations": whole_number("evaluations", evaluations, 1),
+        "validation": validation,
+        "hyperparameters": given.entries(),
     }
     checkpoint = open_folder(out, "sb3", resume)
     saved = None
     if checkpoint.exists():
         saved = read_checkpoint(checkpoint)
         check_same(checkpoint, saved["training"], wanted)
-        finished = finished_summary(out, saved, total)
+        finished = finished_summary(out, saved, wanted["steps"])
         if finished is not None:
             return finished
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        return _train(wanted, out, checkpoint, saved, progress)
+        return _Run(wanted, out, checkpoint, progress).run(saved)
     finally:
         torch.set_num_threads(threads)
 
 
-def _hyperparameters(algorithm: Algorithm) -> dict[str, Any]:
-    """Those of an algorithm as they read in JSON."""
-    given = _SAC if algorithm == "sac" else _PPO
-    return {name: getattr(value, "__name__", value) for name, value in given.items()}
+class _Run(BaseCallback):
+    """A training under way; it evaluates and saves between rollouts, when nothing is half done."""
 
+    model: Any
 
-def _train(
-    wanted: dict[str, Any],
-    out: Path,
-    checkpoint: Path,
-    saved: dict[str, Any] | None,
-    progress: Callable[[int, float], Any] | None,
-) -> dict[str, Any]:
-    algorithm, seed = wanted["algorithm"], wanted["seed"]
-    total, evaluations = wanted["steps"], wanted["evaluations"]
-    sparse = algorithm == "sac"
-    arms = OctoArmReachVectorEnv(
-        wanted["envs"],
-        "sparse" if sparse else "dense",
-        goals=train_goals(),
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        threads=1,
-    )
-    settings = arms.settings
-    seen = Sb3VecEnv(arms if sparse else RescaleAction(arms, -1.0, 1.0))
-    seen.seed(seed)
-    monitor = VecMonitor(seen)
-    kind: Any = SAC if sparse else PPO
-    curve: list[dict[str, float]] = []
-    learning, resumed = 0.0, 0
-    if saved is not None:
-        curve, learning, resumed = saved["curve"], saved["seconds"], saved["resumed"] + 1
-        model, envs = restore_training(saved, kind, monitor, monitor, arms)
-    else:
-        given = _SAC if sparse else _PPO
-        envs = VecNormalize(monitor, norm_reward=not sparse, gamma=given["gamma"])
-        model = kind("MultiInputPolicy", envs, seed=seed, device="cpu", **given)
-    summary: dict[str, Any] = {}
-    for number in range(len(curve) + 1, evaluations + 1):
-        begun = time.perf_counter()
-        left = total * number // evaluations - model.num_timesteps
-        if left > 0:
-            model.learn(left, reset_num_timesteps=False)
-        learning += time.perf_counter() - begun
-        training = {"algorithm": algorithm, "seed": seed, "steps": int(model.num_timesteps)}
-        policy = GoalPolicy(export_goal_network(model, envs), settings, training)
-        judged = evaluate_reaching(policy)
-        curve.append({"steps": int(model.num_timesteps), "seconds": round(learning, 1), **judged})
+    def __init__(
+        self, wanted: dict[str, Any], out: Path, checkpoint: Path, progress: Progress | None
+    ) -> None:
+        super().__init__()
+        self.wanted, self.out, self.checkpoint = wanted, out, checkpoint
+        self.progress = progress or (lambda point: None)
+        self.given = Hyperparameters.from_entries(wanted["hyperparameters"])
+        learnt, self.judged = (
+            (search_goals(), validation_goals())
+            if wanted["validation"]
+            else (train_goals(), held_out_goals())
+        )
+        self.kind = algorithm_class(wanted["algorithm"])
+        self.arms = OctoArmReachVectorEnv(
+            self.given.num_envs,
+            **{"threads": 1, "goals": learnt, **self.given.env},
+            autoreset_mode=AutoresetMode.SAME_STEP,
+        )
+        # What learns from a replay buffer scales its actions itself.
+        scaled = issubclass(self.kind, OffPolicyAlgorithm)
+        seen = Sb3VecEnv(self.arms if scaled else RescaleAction(self.arms, -1.0, 1.0))
+        seen.seed(wanted["seed"])
+        self.monitor = VecMonitor(seen)
+        normalize = {"gamma": self.given.arguments.get("gamma", 0.99), **self.given.normalize}
+        self.envs = VecNormalize(self.monitor, **normalize)
+        self.curve: list[dict[str, float]] = []
+        self.summary: dict[str, Any] = {}
+        self.seconds, self.resumed = 0.0, 0
+
+    def run(self, saved: dict[str, Any] | None) -> dict[str, Any]:
+        if saved is None:
+            self.model = self.make_model()
+        else:
+            self.curve, self.seconds = saved["curve"], saved["seconds"]
+            self.resumed = saved["resumed"] + 1
+            self.model, self.envs = restore_training(
+                saved, self.kind, self.monitor, self.monitor, self.arms
+            )
+        self.model.set_logger(Logger(None, []))
+        left = self.wanted["steps"] - self.model.num_timesteps
+        self.begun = time.perf_counter()
+        self.model.learn(left, callback=self, reset_num_timesteps=saved is None)
+        # More than one where rollouts are too long for so many evaluations.
+        while len(self.curve) < self.wanted["evaluations"]:
+            self.evaluate()
+        return self.summary
+
+    def make_model(self) -> Any:
+        name, seed = self.wanted["algorithm"], self.wanted["seed"]
+        arguments = self.given.model_arguments()
+        try:
+            return self.kind(self.given.policy, self.envs, seed=seed, device="cpu", **arguments)
+        except TypeError as error:
+            raise ValueError(f"hyper-parameters of {name}: {error}") from None
+
+    def _on_rollout_start(self) -> None:
+        total, evaluations = self.wanted["steps"], self.wanted["evaluations"]
+        number = len(self.curve) + 1
+        if number < evaluations and self.num_done() >= total * number // evaluations:
+            self.evaluate()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def num_done(self) -> int:
+        """Steps of all environments together."""
+        return int(self.model.num_timesteps)
+
+    def evaluate(self) -> None:
+        """Judge the policy as it is, and save all that the rest of the training depends on."""
+        self.seconds += time.perf_counter() - self.begun
+        wanted, done = self.wanted, self.num_done()
+        training = {"algorithm": wanted["algorithm"], "seed": wanted["seed"], "steps": done}
+        network = export_goal_network(self.model, self.envs)
+        policy = GoalPolicy(network, self.arms.settings, training)
+        judged = evaluate_reaching(policy, self.judged)
+        self.curve.append({"steps": done, "seconds": round(self.seconds, 1), **judged})
         policy.training |= judged
-        policy.save(out / "policy.npz")
-        summary = {
-            **training,
-            "envs": wanted["envs"],
+        policy.save(self.out / "policy.npz")
+        self.summary = {
+            "algorithm": wanted["algorithm"],
+            "seed": wanted["seed"],
+            "steps": done,
+            "envs": self.given.num_envs,
+            "validation": wanted["validation"],
             "hyperparameters": wanted["hyperparameters"],
-            "parameters": policy.network.parameter_count,
-            "curve": curve,
-            "finished": number == evaluations,
-            "resumed": resumed,
+            "parameters": network.parameter_count,
+            "curve": list(self.curve),
+            "finished": done >= wanted["steps"],
+            "resumed": self.resumed,
             "versions": package_versions(
                 "octoarm-env", "octoarm-agents", "stable-baselines3", "torch", "numpy"
             ),
             "machine": describe_machine(),
         }
-        write_json(out / "training.json", summary)
-        state = {"training": wanted, "curve": curve, "seconds": learning, "resumed": resumed}
-        state |= training_state(model, envs, monitor, arms)
-        write_checkpoint(checkpoint, model, state)
-        if progress is not None:
-            progress(int(model.num_timesteps), judged["success"])
-    return summary
+        write_json(self.out / "training.json", self.summary)
+        state = {
+            "training": wanted,
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "resumed": self.resumed,
+            **training_state(self.model, self.envs, self.monitor, self.arms),
+        }
+        write_checkpoint(self.checkpoint, self.model, state)
+        self.progress(self.curve[-1])
+        self.begun = time.perf_counter()
 
 
 def export_goal_network(model: Any, normalization: VecNormalize) -> Network:
