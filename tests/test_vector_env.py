@@ -575,6 +575,29 @@ def test_sequences_and_mappings_of_any_kind() -> None:
     gym.make_vec(EnvSpec.from_json(envs.spec.to_json()))
 
 
+def test_bodies_that_swing_side_by_side_begin_as_each_alone() -> None:
+    # More than fit into one group of lanes, and than are kept: the first ones are made anew below.
+    settings = [
+        {
+            "target": ("quadratic", "lissajous")[index % 2],
+            "amplitude": 20.0 + index,
+            "arm": {"arm_density": 1042.0 + index},
+        }
+        for index in range(11)
+    ]
+    given = {name: [each[name] for each in settings] for name in settings[0]}
+    envs = native(11, **given)
+    observations, infos = envs.reset(seed=5)
+    for index in (0, 1, 10):
+        env = OctoArmEnv(**settings[index])
+        observation, info = env.reset(seed=5 + index)
+        assert observation.tobytes() == observations[index].tobytes()
+        assert info["target"].tobytes() == infos["target"][index].tobytes()
+    given["arm"][9], given["amplitude"][9] = "inertial", 90.0
+    with pytest.raises(ValueError, match=r"amplitude = 90 .*that this body can be swung along"):
+        native(11, **given)
+
+
 def test_registration() -> None:
     envs = native(2)
     assert envs.spec.max_episode_steps == 500

@@ -46,22 +46,56 @@ struct Shares {
     sixth: Row,
 }
 
-/// `out = factor x + y`.
+/// What is made of the accelerations `a` of the first stage: their share of the state that the step heads
+/// for, and the second stage's state.
 #[inline(always)]
-fn axpy(factor: &Row, x: &Block, y: &Block, out: &mut Block) {
+fn first_stage(
+    shares: &Shares,
+    (q, u): (&Block, &Block),
+    a: &Block,
+    (next_q, next_u): (&mut Block, &mut Block),
+    (stage_q, stage_u): (&mut Block, &mut Block),
+) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor[k].madd(x.0[row][k], y.0[row][k]);
+            let (q, u, a) = (q.0[row][k], u.0[row][k], a.0[row][k]);
+            next_q.0[row][k] = shares.sixth[k].madd(u, q);
+            next_u.0[row][k] = shares.sixth[k].madd(a, u);
+            stage_q.0[row][k] = shares.half[k].madd(u, q);
+            stage_u.0[row][k] = shares.half[k].madd(a, u);
         }
     }
 }
 
-/// `out += factor x`.
+/// The same for the second and the third stage; the state of the following one, `forward` from the
+/// beginning, takes the place of theirs.
 #[inline(always)]
-fn accumulate(factor: &Row, x: &Block, out: &mut Block) {
+fn middle_stage(
+    shares: &Shares,
+    forward: &Row,
+    (q, u): (&Block, &Block),
+    a: &Block,
+    (next_q, next_u): (&mut Block, &mut Block),
+    (stage_q, stage_u): (&mut Block, &mut Block),
+) {
     for row in 0..COORDINATES {
         for k in 0..WIDTH {
-            out.0[row][k] = factor[k].madd(x.0[row][k], out.0[row][k]);
+            let (rate, a) = (stage_u.0[row][k], a.0[row][k]);
+            next_q.0[row][k] = shares.third[k].madd(rate, next_q.0[row][k]);
+            next_u.0[row][k] = shares.third[k].madd(a, next_u.0[row][k]);
+            stage_q.0[row][k] = forward[k].madd(rate, q.0[row][k]);
+            stage_u.0[row][k] = forward[k].madd(a, u.0[row][k]);
+        }
+    }
+}
+
+/// The same for the last stage, which none follows.
+#[inline(always)]
+fn last_stage(shares: &Shares, stage_u: &Block, a: &Block, next_q: &mut Block, next_u: &mut Block) {
+    for row in 0..COORDINATES {
+        for k in 0..WIDTH {
+            next_q.0[row][k] = shares.sixth[k].madd(stage_u.0[row][k], next_q.0[row][k]);
+            next_u.0[row][k] = shares.sixth[k].madd(a.0[row][k], next_u.0[row][k]);
         }
     }
 }
@@ -302,23 +336,14 @@ impl<const L: usize> Integrator<L> {
                     let (q, u) = (&coordinates[c], &rates[c]);
                     let shape = if stage == 1 { q } else { &stage_q[c] };
                     accelerations::<L>(body, shape, c, &mut before, workspace, &mut a);
-                    let forward = if stage == 3 { &shares.full } else { &shares.half };
+                    let next = (&mut next_q[c], &mut next_u[c]);
+                    let reached = (&mut stage_q[c], &mut stage_u[c]);
                     match stage {
-                        1 => {
-                            axpy(&shares.sixth, u, q, &mut next_q[c]);
-                            axpy(&shares.sixth, &a, u, &mut next_u[c]);
-                            axpy(forward, u, q, &mut stage_q[c]);
-                            axpy(forward, &a, u, &mut stage_u[c]);
-                        }
-                        2 | 3 => {
-                            accumulate(&shares.third, &stage_u[c], &mut next_q[c]);
-                            accumulate(&shares.third, &a, &mut next_u[c]);
-                            axpy(forward, &stage_u[c], q, &mut stage_q[c]);
-                            axpy(forward, &a, u, &mut stage_u[c]);
-                        }
+                        1 => first_stage(shares, (q, u), &a, next, reached),
+                        2 => middle_stage(shares, &shares.half, (q, u), &a, next, reached),
+                        3 => middle_stage(shares, &shares.full, (q, u), &a, next, reached),
                         _ => {
-                            accumulate(&shares.sixth, &stage_u[c], &mut next_q[c]);
-                            accumulate(&shares.sixth, &a, &mut next_u[c]);
+                            last_stage(shares, &stage_u[c], &a, &mut next_q[c], &mut next_u[c]);
                             let lengths = &mut next_lengths[c];
                             spring_lengths::<L>(body, next_q, next_u, c, workspace, lengths);
                             mark_outside(

@@ -34,7 +34,8 @@ impl Episode {
         config: CheckedConfig,
         max_episode_steps: Option<u64>,
     ) -> Result<Self, ParameterError> {
-        let task = LimitCycle::new(config, max_episode_steps)?;
+        let swings = Swing::shared(&config)?;
+        let task = LimitCycle::new(config, swings, max_episode_steps)?;
         Ok(Self { arm: task.swing().arm.clone(), task })
     }
 

@@ -12,6 +12,7 @@ use crate::limit_cycle::{EpisodeState, LimitCycle};
 use crate::outcome::Outcome;
 use crate::swing::Swing;
 use crate::task::{Stage, Task};
+use crate::workers::Workers;
 
 const WIDTH: usize = ArmLanes::WIDTH;
 
@@ -219,20 +220,23 @@ impl EpisodeBatch {
         if configs.is_empty() {
             return Err(ParameterError::out_of_range("num_envs", 0, "of positive numbers"));
         }
-        let mut tasks = memory::reserved(&what, Some(configs.len()))?;
-        let mut known: Vec<LimitCycle> = Vec::new();
+        let mut places: Vec<usize> = memory::reserved(&what, Some(configs.len()))?;
+        let mut known: Vec<CheckedConfig> = Vec::new();
         for config in configs {
             // Environments are mostly alike, and mostly like the one before.
-            let same = |task: &&LimitCycle| task.config().is(config);
-            let task = match known.iter().rev().find(same) {
-                Some(task) => task.clone(),
-                None => {
-                    known.push(LimitCycle::new(config.clone(), max_episode_steps)?);
-                    known[known.len() - 1].clone()
-                }
-            };
-            tasks.push(task);
+            let place = known.iter().rposition(|other| other.is(config));
+            places.push(place.unwrap_or(known.len()));
+            if place.is_none() {
+                known.push(config.clone());
+            }
         }
+        let swings = Swing::shared_by(&known, &Workers::new(threads)?)?;
+        let known = known.into_iter().zip(swings);
+        let known: Vec<LimitCycle> = known
+            .map(|(config, swings)| LimitCycle::new(config, swings, max_episode_steps))
+            .collect::<Result<_, _>>()?;
+        let mut tasks: Vec<LimitCycle> = memory::reserved(&what, Some(configs.len()))?;
+        tasks.extend(places.iter().map(|&place| known[place].clone()));
         let mut resting: Vec<&Arm> = memory::reserved(&what, Some(tasks.len()))?;
         resting.extend(tasks.iter().map(|task| &task.swing().arm));
         let arms = ArmBatch::new(&resting, threads)?;

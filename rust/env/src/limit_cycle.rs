@@ -106,13 +106,14 @@ pub struct LimitCycle {
 }
 
 impl LimitCycle {
-    /// A task that waits for its first [`LimitCycle::begin`]; episodes end after `max_episode_steps`.
+    /// A task that waits for its first [`LimitCycle::begin`], on the swings of its settings; episodes end
+    /// after `max_episode_steps`.
     pub(crate) fn new(
         config: CheckedConfig,
+        swings: Swings,
         max_episode_steps: Option<u64>,
     ) -> Result<Self, ParameterError> {
         check_limit(max_episode_steps)?;
-        let swings = Swing::shared(&config)?;
         let amplitude = swings[0].orbit.amplitude();
         let reward = config.reward(amplitude);
         // The tracking error is divided by it; a product of two positive numbers may be too small.

@@ -4,6 +4,7 @@
 //! begin with the body already swinging in phase with the target. A swing is a run of the arm forced
 //! by the lead-compensated clock, with a snapshot of the whole state at every control instant.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use octoarm_arm::{
@@ -15,6 +16,7 @@ use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step_of_lanes;
 use crate::orbit::{Orbit, Target};
 use crate::teacher::TeacherClock;
+use crate::workers::Workers;
 
 /// Time in which the command grows from rest to the full orbit \[s\].
 const RAMP: f64 = 1.0;
@@ -174,22 +176,176 @@ impl Swing {
         while run.advance()? {}
         Ok(run.keep())
     }
+
+    /// [`Swing::shared`] of several configurations: their bodies swing side by side, shared by threads.
+    ///
+    /// # Errors
+    /// Those of [`Swing::shared`], of the first body that has one.
+    pub(crate) fn shared_by(
+        configs: &[CheckedConfig],
+        workers: &Workers,
+    ) -> Result<Vec<Swings>, ParameterError> {
+        // Those that are known, or where among the missing ones they are.
+        let mut missing: Vec<(Key, &CheckedConfig)> = Vec::new();
+        let mut places = Vec::with_capacity(configs.len());
+        for config in configs {
+            places.push(match Self::kept(config) {
+                Some(swings) => Ok(swings),
+                None => {
+                    let key = Key::of(config);
+                    let place = missing.iter().position(|(known, _)| *known == key);
+                    let place = place.unwrap_or(missing.len());
+                    if place == missing.len() {
+                        missing.push((key, config));
+                    }
+                    Err(place)
+                }
+            });
+        }
+        let mut bodies = Vec::new();
+        for (_, config) in &missing {
+            let course = Course::new(config)?;
+            bodies.extend((0..config.bodies).map(|body| Course { body, ..course.clone() }));
+        }
+        let alike = |a: &Course, b: &Course| a.config.arm.compartments == b.config.arm.compartments;
+        let groups = bodies.chunk_by(alike).flat_map(|alike| alike.chunks(WIDTH));
+        let mut runs: Vec<_> = groups.map(|group| (group, Ok(Vec::new()))).collect();
+        let stop = AtomicBool::new(false);
+        workers.for_each(runs.iter_mut().collect(), |(group, result)| {
+            *result = SwingRun::of(group).and_then(|mut run| {
+                // Whoever is asked to stop is the calling thread.
+                while run.advance()? {
+                    if stop.load(Ordering::Relaxed) {
+                        return Err(ParameterError::Interrupted);
+                    }
+                }
+                Ok(run.swings)
+            });
+            if matches!(result, Err(ParameterError::Interrupted)) {
+                stop.store(true, Ordering::Relaxed);
+            }
+        });
+        if stop.into_inner() {
+            return Err(ParameterError::Interrupted);
+        }
+        let mut swings = Vec::with_capacity(bodies.len());
+        for (_, result) in runs {
+            swings.extend(result?);
+        }
+        let mut swings = swings.into_iter();
+        let made = missing
+            .into_iter()
+            .map(|(_, config)| keep(config, swings.by_ref().take(config.bodies).collect()));
+        let made: Vec<Swings> = made.collect();
+        let of =
+            |place: Result<Swings, usize>| place.unwrap_or_else(|place| Arc::clone(&made[place]));
+        Ok(places.into_iter().map(of).collect())
+    }
+}
+
+/// Keeps swings for whoever asks for them with [`Swing::shared`].
+fn keep(config: &CheckedConfig, swings: Swings) -> Swings {
+    let mut shared = shared();
+    if shared.len() >= KEPT {
+        shared.remove(0);
+    }
+    shared.push((Key::of(config), Arc::clone(&swings)));
+    swings
+}
+
+/// A body that is to be swung, and how.
+#[derive(Clone, Debug)]
+struct Course {
+    config: CheckedConfig,
+    body: usize,
+    orbit: Arc<Orbit>,
+    clock: TeacherClock,
+}
+
+impl Course {
+    /// That of a configuration's first body.
+    fn new(config: &CheckedConfig) -> Result<Self, ParameterError> {
+        let orbit = Arc::new(config.orbit()?);
+        let clock = TeacherClock::new(config, Arc::clone(&orbit));
+        Ok(Self { config: config.clone(), body: 0, orbit, clock })
+    }
+
+    /// The body comes to rest.
+    fn begin(&self) -> Result<Swing, ParameterError> {
+        let body = self.config.drawn_bodies()[self.body].clone();
+        let mut arm = Arm::undeformed(body, self.config.actuator)?;
+        arm.reset()?;
+        Ok(Swing {
+            orbit: Arc::clone(&self.orbit),
+            clock: self.clock.clone(),
+            snapshots: Vec::with_capacity(SNAPSHOTS),
+            arm,
+        })
+    }
+}
+
+/// Bodies that swing side by side.
+#[derive(Debug)]
+struct Group {
+    lanes: ArmLanes,
+    /// Control periods that are made, and where the undisturbed base is.
+    ticks: [i64; WIDTH],
+    bases: [[f64; 4]; WIDTH],
+}
+
+impl Group {
+    /// Goes on by a control period; false when all snapshots are taken.
+    fn advance(
+        &mut self,
+        courses: &[Course],
+        swings: &mut [Swing],
+    ) -> Result<bool, ParameterError> {
+        poll()?;
+        let (mut commands, mut ends) = ([[0.0; 2]; WIDTH], self.bases);
+        let mut steps = [0; WIDTH];
+        for (lane, (Course { config, clock, .. }, swing)) in
+            courses.iter().zip(&*swings).enumerate()
+        {
+            if swing.snapshots.len() < SNAPSHOTS {
+                let tick = self.ticks[lane] + 1;
+                let elapsed = tick as f64 * config.control_period;
+                let goal = clock.target(tick - lead_in(config) as i64);
+                let goal = goal.map(|angle| angle * ramp(elapsed / RAMP));
+                (commands[lane], ends[lane]) = clock.command_towards(goal, self.bases[lane]);
+                steps[lane] = config.physics_steps();
+            }
+        }
+        let failures = control_step_of_lanes(&mut self.lanes, &commands, &steps, |_, _| ());
+        for (lane, (course, swing)) in courses.iter().zip(&mut *swings).enumerate() {
+            if let Some(failure) = &failures[lane] {
+                return Err(unable(&course.config, &course.orbit, course.body, failure));
+            }
+            if steps[lane] == 0 {
+                continue;
+            }
+            self.ticks[lane] += 1;
+            if self.ticks[lane] >= lead_in(&course.config) as i64 {
+                swing.snapshots.push(Snapshot {
+                    arm: ArmState { steps: 0, ..self.lanes.state(lane) },
+                    undisturbed: ends[lane],
+                    command: commands[lane],
+                });
+            }
+        }
+        self.bases = ends;
+        Ok(swings.iter().any(|swing| swing.snapshots.len() < SNAPSHOTS))
+    }
 }
 
 /// Swings in the making, a control period of eight bodies at a time, so that others can have their turn
 /// in between.
 #[derive(Debug)]
 pub struct SwingRun {
-    config: CheckedConfig,
+    courses: Vec<Course>,
     /// Those that are done, and those under way, whose snapshots are fewer.
     swings: Vec<Swing>,
     /// The bodies under way, the last ones of the swings.
-    lanes: Option<ArmLanes>,
-    orbit: Arc<Orbit>,
-    clock: TeacherClock,
-    lead_in: i64,
-    tick: i64,
-    base: [f64; 4],
+    group: Option<Group>,
 }
 
 impl SwingRun {
@@ -198,33 +354,15 @@ impl SwingRun {
     /// # Errors
     /// [`ParameterError`] for a body without a rest state.
     pub fn new(config: &CheckedConfig) -> Result<Self, ParameterError> {
-        let orbit = Arc::new(config.orbit()?);
-        let mut run = Self {
-            config: config.clone(),
-            swings: Vec::with_capacity(config.bodies),
-            lanes: None,
-            clock: TeacherClock::new(config, Arc::clone(&orbit)),
-            orbit,
-            lead_in: lead_in(config) as i64,
-            tick: 0,
-            base: [0.0; 4],
-        };
-        run.rest_next()?;
-        Ok(run)
+        let course = Course::new(config)?;
+        let bodies = (0..config.bodies).map(|body| Course { body, ..course.clone() });
+        Self::of(&bodies.collect::<Vec<_>>())
     }
 
-    /// The next body comes to rest.
-    fn rest_next(&mut self) -> Result<(), ParameterError> {
-        let body = self.config.drawn_bodies()[self.swings.len()].clone();
-        let mut arm = Arm::undeformed(body, self.config.actuator)?;
-        arm.reset()?;
-        self.swings.push(Swing {
-            orbit: Arc::clone(&self.orbit),
-            clock: self.clock.clone(),
-            snapshots: Vec::with_capacity(SNAPSHOTS),
-            arm,
-        });
-        Ok(())
+    /// Some bodies, of one number of compartments.
+    fn of(courses: &[Course]) -> Result<Self, ParameterError> {
+        let swings = vec![courses[0].begin()?];
+        Ok(Self { courses: courses.to_vec(), swings, group: None })
     }
 
     /// Goes on by a control period, or brings another body to rest; false when there is nothing left.
@@ -233,65 +371,34 @@ impl SwingRun {
     /// [`ParameterError`] for a body without a rest state, or a target that takes an arm out of its
     /// domain.
     pub fn advance(&mut self) -> Result<bool, ParameterError> {
-        let (known, bodies) = (self.swings.len(), self.config.bodies);
+        let (known, bodies) = (self.swings.len(), self.courses.len());
         let first = (known - 1) / WIDTH * WIDTH;
-        let Some(lanes) = &mut self.lanes else {
-            let swung = self.swings[known - 1].snapshots.len() == SNAPSHOTS;
-            if swung && known == bodies {
-                return Ok(false);
-            }
-            if known < bodies && (swung || known < first + WIDTH) {
-                self.rest_next()?;
+        let (courses, swings) = (&self.courses[first..known], &mut self.swings[first..]);
+        if let Some(group) = &mut self.group {
+            if group.advance(courses, swings)? {
                 return Ok(true);
             }
-            let arms: Vec<&Arm> = self.swings[first..].iter().map(|swing| &swing.arm).collect();
-            self.lanes = Some(ArmLanes::new(&arms)?);
-            (self.tick, self.base) = (-self.lead_in, [0.0; 4]);
-            return Ok(true);
-        };
-        if self.tick < SNAPSHOTS as i64 - 1 {
-            poll()?;
-            let config = &self.config;
-            let elapsed = (self.tick + 1 + self.lead_in) as f64 * config.control_period;
-            let goal = self.clock.target(self.tick + 1).map(|angle| angle * ramp(elapsed / RAMP));
-            let (command, end) = self.clock.command_towards(goal, self.base);
-            let mut steps = [0; WIDTH];
-            steps[..lanes.len()].fill(config.physics_steps());
-            let failures = control_step_of_lanes(lanes, &[command; WIDTH], &steps, |_, _| ());
-            if let Some((lane, failure)) = failures
-                .iter()
-                .enumerate()
-                .find_map(|(lane, failure)| failure.as_ref().map(|failure| (lane, failure)))
-            {
-                return Err(unable(config, &self.orbit, first + lane, failure));
-            }
-            self.base = end;
-            self.tick += 1;
-            if self.tick >= 0 {
-                for (lane, swing) in self.swings[first..].iter_mut().enumerate() {
-                    swing.snapshots.push(Snapshot {
-                        arm: ArmState { steps: 0, ..lanes.state(lane) },
-                        undisturbed: end,
-                        command,
-                    });
-                }
-            }
+            self.group = None;
+            return Ok(known < bodies);
+        }
+        let swung = swings[0].snapshots.len() == SNAPSHOTS;
+        if swung && known == bodies {
+            return Ok(false);
+        }
+        if known < bodies && (swung || known < first + WIDTH) {
+            self.swings.push(self.courses[known].begin()?);
             return Ok(true);
         }
-        self.lanes = None;
-        Ok(known < bodies)
+        let arms: Vec<&Arm> = swings.iter().map(|swing| &swing.arm).collect();
+        let lanes = ArmLanes::new(&arms)?;
+        self.group = Some(Group { lanes, ticks: [0; WIDTH], bases: [[0.0; 4]; WIDTH] });
+        Ok(true)
     }
 
     /// The swings, when [`SwingRun::advance`] has come to its end, kept for whoever asks for them with
     /// [`Swing::shared`].
     #[must_use]
     pub fn keep(self) -> Swings {
-        let swings: Swings = self.swings.into();
-        let mut shared = shared();
-        if shared.len() >= KEPT {
-            shared.remove(0);
-        }
-        shared.push((Key::of(&self.config), Arc::clone(&swings)));
-        swings
+        keep(&self.courses[0].config, self.swings.into())
     }
 }

@@ -30,7 +30,7 @@ impl Link {
 /// Chunks that a pass goes through before the next one follows: several, so that the processor fills
 /// the waits in one chunk's chains of dependent operations with the next chunk's; not all, so that
 /// what a pass hands to the next stays in the nearest cache.
-pub(crate) const STRETCH: usize = 3;
+pub(crate) const STRETCH: usize = 4;
 
 /// Intermediate results of one evaluation, kept from call to call.
 #[derive(Clone, Debug)]
@@ -46,6 +46,7 @@ pub(crate) struct Workspace {
 #[derive(Clone, Debug)]
 struct Scratch {
     flows: [kinematics::Flow; STRETCH],
+    streams: [water::Stream; STRETCH],
     top: springs::Top,
     /// Of this chunk and of the one further from the base, in turns.
     bottoms: [springs::Bottom; 2],
@@ -72,6 +73,7 @@ impl Workspace {
             floors: vec![Floor::ZERO; if L < WIDTH { chunks } else { 0 }],
             scratch: Box::new(Scratch {
                 flows: [kinematics::Flow::ZERO; STRETCH],
+                streams: [water::Stream::ZERO; STRETCH],
                 top: springs::Top::ZERO,
                 bottoms: [springs::Bottom::ZERO; 2],
                 gathered: springs::Bottom::ZERO,
@@ -188,15 +190,23 @@ pub(crate) fn outward<const L: usize>(
             &mut flows[c - first],
         );
     }
-    for c in stretch {
-        water::external(
-            body.material(c),
+    let streams = &mut scratch.streams;
+    for c in stretch.clone() {
+        water::speeds(
             &body.rest[c],
             &coordinates[c],
             gather_floor::<L>(body, coordinates, rates, c, floors),
             &flows[c - first],
+            &mut streams[c - first],
             &mut links[c].external,
         );
+    }
+    for c in stretch.clone() {
+        water::half_angles(&flows[c - first], &mut streams[c - first]);
+    }
+    for c in stretch {
+        let (flow, stream) = (&flows[c - first], &streams[c - first]);
+        water::external(body.material(c), &coordinates[c], flow, stream, &mut links[c].external);
     }
 }
 
