@@ -271,10 +271,11 @@ impl Environment {
     pub(crate) fn advance(
         &mut self,
         advance: &mut Advance,
+        alone: bool,
         wanted: &[usize],
         specs: &Specs,
     ) -> Answer<Option<StepResponse>> {
-        let groups = self.episodes.groups_a_part();
+        let groups = self.episodes.groups_a_part(alone);
         let Advance { actions, cycle, reach } = advance;
         match &mut self.episodes {
             Episodes::Single(episode) => {

@@ -16,6 +16,8 @@ const MICROSECONDS_A_STEP: f64 = 10.0;
 
 /// Roughly the time that a part of a long step takes \[µs\].
 const MICROSECONDS_A_PART: f64 = 500.0;
+/// The same where nobody waits.
+const MICROSECONDS_ALONE: f64 = 4.0 * MICROSECONDS_A_PART;
 
 /// The episodes of a world.
 #[derive(Debug)]
@@ -233,14 +235,16 @@ impl Episodes {
         self.group_microseconds() * self.len().div_ceil(8) as f64
     }
 
-    /// Groups of arms whose steps are a part that others can wait for.
-    pub(crate) fn groups_a_part(&self) -> usize {
+    /// Groups of arms whose steps are a part that others can wait for; `alone`, where nobody waits yet, whose
+    /// threads rarely wait for each other.
+    pub(crate) fn groups_a_part(&self, alone: bool) -> usize {
         let threads = match self {
             E::Single(_) => 1,
             E::Batch(batch) => batch.arms().threads(),
             E::Reach { batch, .. } => batch.arms().threads(),
         };
-        threads * (MICROSECONDS_A_PART / self.group_microseconds()).ceil().max(1.0) as usize
+        let microseconds = if alone { MICROSECONDS_ALONE } else { MICROSECONDS_A_PART };
+        threads * (microseconds / self.group_microseconds()).ceil().max(1.0) as usize
     }
 }
 

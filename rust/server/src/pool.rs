@@ -18,8 +18,8 @@ use crate::world::failed;
 /// Time after which a job that has parts left lets the others have their turn.
 const TURN: Duration = Duration::from_millis(1);
 
-/// A part of a job's work; whether it was the last one.
-type Job = Box<dyn FnMut() -> bool + Send>;
+/// A part of a job's work, which is told whether nobody waits for a turn; whether it was the last one.
+type Job = Box<dyn FnMut(bool) -> bool + Send>;
 
 /// Jobs that wait.
 #[derive(Default)]
@@ -105,22 +105,22 @@ impl Pool {
         self.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does a connection's job, part by part, until one gives the result. It is dropped, with all that it
-    /// holds, before the result is there; and soon, if nobody waits for the result any more.
+    /// Does a connection's job, part by part, until one gives the result. A part is told whether nobody else
+    /// waits: it may be a larger one then. The job is dropped, with all that it holds, before the result is there; and soon, if nobody waits for the result any more.
     pub(crate) async fn run<T: Send + 'static>(
         self: &Arc<Self>,
         connection: u64,
-        part: impl FnMut() -> Option<T> + Send + 'static,
+        part: impl FnMut(bool) -> Option<T> + Send + 'static,
     ) -> Answer<T> {
         let (done, result) = oneshot::channel();
         let mut job = Some((part, done));
         self.submit(
             connection,
-            Box::new(move || {
+            Box::new(move |alone| {
                 let Some((part, done)) = &mut job else { return true };
                 let result = match done.is_closed() {
                     true => None,
-                    false => match catch_unwind(AssertUnwindSafe(part)) {
+                    false => match catch_unwind(AssertUnwindSafe(|| part(alone))) {
                         Ok(None) => return false,
                         Ok(Some(result)) => Some(Ok(result)),
                         Err(_) => Some(Err(failed())),
@@ -143,7 +143,7 @@ impl Pool {
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Answer<T> {
         let mut work = Some(work);
-        self.run(connection, move || work.take().map(|work| work())).await
+        self.run(connection, move |_| work.take().map(|work| work())).await
     }
 
     fn submit(self: &Arc<Self>, connection: u64, job: Job) {
@@ -171,7 +171,8 @@ impl Pool {
     fn turn(self: Arc<Self>, connection: u64, mut job: Job) {
         let begin = Instant::now();
         let done = loop {
-            if job() {
+            let alone = self.turns().order.is_empty();
+            if job(alone) {
                 break true;
             }
             if begin.elapsed() >= TURN {
@@ -219,7 +220,7 @@ mod tests {
         let floods: Vec<_> = (0..20)
             .map(|_| {
                 let (pool, greedy) = (Arc::clone(&pool), Arc::clone(&greedy));
-                let part = move || {
+                let part = move |_| {
                     take_a_turn();
                     greedy.fetch_add(1, Ordering::Relaxed);
                     None::<()>
@@ -233,7 +234,7 @@ mod tests {
         let before = greedy.load(Ordering::Relaxed);
         let seen = Arc::clone(&greedy);
         let mut left = 3;
-        let part = move || {
+        let part = move |_| {
             take_a_turn();
             left -= 1;
             (left == 0).then(|| seen.load(Ordering::Relaxed))
@@ -250,7 +251,7 @@ mod tests {
         let pool = Pool::new("test", 2, 0, Level::default()).expect("pool");
         let held = Arc::new(());
         let kept = Arc::clone(&held);
-        let endless = move || {
+        let endless = move |_| {
             let _ = &kept;
             take_a_turn();
             None::<()>

@@ -281,13 +281,13 @@ impl Session {
         let (mut settings, mut run) = (Some(settings), None);
         let mut reservation = Some(reservation);
         // Room is taken from now on, until the world is gone, or its making is given up.
-        let mut part = move || {
+        let mut part = move |_| {
             let made = made(&mut settings, &mut run).transpose()?;
             Some(made.map(|environment| (environment, reservation.take())))
         };
         let mut made = None;
         if microseconds <= INLINE {
-            made = guarded(|| part().transpose())?;
+            made = guarded(|| part(true).transpose())?;
         }
         let (environment, reservation) = match made {
             Some(made) => made,
@@ -326,11 +326,11 @@ impl Session {
         let microseconds = agent.world.microseconds;
         let mut step = agent.world.begin_step(&request)?;
         drop(request);
-        let mut part = move || agent.world.advance(&mut step).transpose();
+        let mut part = move |alone| agent.world.advance(&mut step, alone).transpose();
         let done = if microseconds <= INLINE {
             guarded(|| {
                 loop {
-                    if let Some(done) = part() {
+                    if let Some(done) = part(true) {
                         break done;
                     }
                 }

@@ -135,8 +135,13 @@ impl World {
     }
 
     /// Goes on by a part as a request asks: a control period, the begin of an episode, or word of a
-    /// reset. The last part gives the answer, and how many arms have made a step.
-    pub(crate) fn advance(&self, step: &mut Step) -> Answer<Option<(StepResponse, usize)>> {
+    /// reset; by a larger part if nobody else waits. The last part gives the answer, and how many arms have
+    /// made a step.
+    pub(crate) fn advance(
+        &self,
+        step: &mut Step,
+        alone: bool,
+    ) -> Answer<Option<(StepResponse, usize)>> {
         let specs = &self.specs;
         let mut environment = self.environment()?;
         let Step { wanted, actions, advance } = step;
@@ -154,7 +159,7 @@ impl World {
                 advance.insert(Advance::new(actions.take().transpose()?.flatten()))
             }
         };
-        let answer = environment.advance(advance, wanted, specs)?;
+        let answer = environment.advance(advance, alone, wanted, specs)?;
         Ok(answer.map(|answer| (answer, self.arms)))
     }
 }
