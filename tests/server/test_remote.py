@@ -373,6 +373,13 @@ def test_a_missing_extra_names_the_command() -> None:
     assert 'pip install "octoarm-env[remote]"' in result.stdout
 
 
+def test_a_wait_of_any_length(server: ServerProcess) -> None:
+    env = RemoteOctoArm(server.address, timeout=1e300, reconnect=True)
+    env.reset(seed=1)
+    env.step(np.zeros(2))
+    env.close()
+
+
 def test_a_forked_process_has_no_stream(server: ServerProcess) -> None:
     program = (
         "import os, sys\nimport numpy as np\nfrom octoarm_env.remote import RemoteOctoArm\n"

@@ -20,7 +20,7 @@ use http::uri::PathAndQuery;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::task::yield_now;
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{sleep, timeout};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::Request;
@@ -198,15 +198,13 @@ pub async fn connect(access: &Access) -> Result<Channel, Ending> {
     Connector::new(access)?.connect().await
 }
 
-/// Connects and waits until somebody answers; None if nobody does in time.
-async fn wait_for_server(access: &Access, patience: Duration) -> Option<Grpc<Channel>> {
-    let connector = Connector::new(access).ok()?;
-    let end = Instant::now() + patience;
+/// Connects, as often as it takes until somebody answers.
+async fn wait_for_server(connector: Connector) -> Grpc<Channel> {
     let mut pause = FIRST_PAUSE;
     loop {
         let attempt = async {
-            let channel = connector.connect().await?;
-            let mut client = Grpc::new(channel).max_decoding_message_size(usize::MAX);
+            let mut client =
+                Grpc::new(connector.connect().await?).max_decoding_message_size(usize::MAX);
             client.ready().await.map_err(Ending::of_transport)?;
             let asked = client.unary(Request::new(Bytes::new()), HEALTH, BytesCodec).await;
             match asked.map_err(Ending::from) {
@@ -214,8 +212,8 @@ async fn wait_for_server(access: &Access, patience: Duration) -> Option<Grpc<Cha
                 _ => Ok(client),
             }
         };
-        if let Ok(client) = timeout_at(end, attempt).await.ok()? {
-            return Some(client);
+        if let Ok(client) = attempt.await {
+            return client;
         }
         sleep(pause).await;
         pause = (2 * pause).min(LONGEST_PAUSE);
@@ -240,7 +238,8 @@ async fn converse(
     call: Request<UnboundedReceiverStream<Bytes>>,
     events: UnboundedSender<Event>,
 ) {
-    let Some(client) = wait_for_server(&access, patience).await else { return };
+    let Ok(connector) = Connector::new(&access) else { return };
+    let Ok(client) = timeout(patience, wait_for_server(connector)).await else { return };
     // Whoever waited for it may be gone, then and later.
     if events.send(Event::Ready).is_ok() {
         let ending = talk(client, method, call, &events).await;

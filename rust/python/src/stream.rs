@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use octoarm_client::{Access, Ending, Event, Stream as Inner};
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
@@ -26,17 +26,14 @@ pub(crate) struct Stream {
     inner: Inner,
 }
 
-/// A time from Python \[s\].
-fn seconds(name: &str, value: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(value).map_err(|error| {
-        PyValueError::new_err(format!("{name} = {value}: expected a time [s]: {error}"))
-    })
+/// A time from Python \[s\], which is no negative number; one too long to be reckoned with is without end.
+fn seconds(value: f64) -> Duration {
+    Duration::try_from_secs_f64(value).unwrap_or(Duration::MAX)
 }
 
 impl Stream {
     /// What comes next, within a time.
     fn next(&self, py: Python<'_>, patience: Duration) -> PyResult<Option<Event>> {
-        // A time too long to be reckoned with is one without end.
         let end = Instant::now().checked_add(patience);
         loop {
             let left = end.map_or(SLICE, |end| end.saturating_duration_since(Instant::now()));
@@ -64,13 +61,13 @@ impl Stream {
         patience: f64,
     ) -> PyResult<Self> {
         let access = Access { host, port, encrypted, roots, token, proxy };
-        let inner = Inner::open(access, METHOD, seconds("patience", patience)?);
+        let inner = Inner::open(access, METHOD, seconds(patience));
         Ok(Self { inner: inner.map_err(PyOSError::new_err)? })
     }
 
     /// Waits until a server is there, at most so long [s]; whether it is.
     fn ready(&self, py: Python<'_>, timeout: f64) -> PyResult<bool> {
-        Ok(self.next(py, seconds("timeout", timeout)?)? == Some(Event::Ready))
+        Ok(self.next(py, seconds(timeout))? == Some(Event::Ready))
     }
 
     /// Sends a message.
@@ -80,7 +77,7 @@ impl Stream {
 
     /// Waits for the next message, at most so long [s]; None if there was none.
     fn receive<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Option<Received<'py>>> {
-        Ok(match self.next(py, seconds("timeout", timeout)?)? {
+        Ok(match self.next(py, seconds(timeout))? {
             None | Some(Event::Ready) => None,
             Some(Event::Message(message)) => Some(Received::Message(PyBytes::new(py, &message))),
             Some(Event::Ended(Ending { code, details, .. })) => {
