@@ -50,7 +50,6 @@ impl Stream {
 impl Stream {
     #[new]
     #[pyo3(signature = (host, port, encrypted, roots, token, proxy, patience))]
-    #[expect(clippy::too_many_arguments, reason = "Python calls it by name")]
     fn new(
         host: String,
         port: u16,
