@@ -81,7 +81,7 @@ def imports(crate: Path) -> dict[Module, set[Module]]:
 @pytest.mark.parametrize("crate", CRATES, ids=lambda crate: crate.name)
 def test_no_file_imports_one_that_imports_it_back(crate: Path) -> None:
     graph = imports(crate)
-    assert any(graph.values())
+    assert any(graph.values()) or len(graph) == 1
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

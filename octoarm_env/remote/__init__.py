@@ -1,19 +1,12 @@
 """The environments ``OctoArm-v0`` and ``OctoArmReach-v0`` on a server, one or many, over gRPC.
 
-Needs protobuf: ``pip install "octoarm-env[remote]"``. A server is started by
-``octoarm serve``, of the same version as this package.
+A server is started by ``octoarm serve``, of the same version as this package.
 """
 
-try:
-    from octoarm_env.remote.connection import Connection, RemoteError
-    from octoarm_env.remote.env import RemoteOctoArm
-    from octoarm_env.remote.reach import RemoteOctoArmReach, RemoteOctoArmReachVectorEnv
-    from octoarm_env.remote.vector import RemoteOctoArmVectorEnv
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f'{error}. The remote environment needs more packages: pip install "octoarm-env[remote]"',
-        name=error.name,
-    ) from error
+from octoarm_env.remote.connection import Connection, RemoteError
+from octoarm_env.remote.env import RemoteOctoArm
+from octoarm_env.remote.reach import RemoteOctoArmReach, RemoteOctoArmReachVectorEnv
+from octoarm_env.remote.vector import RemoteOctoArmVectorEnv
 
 __all__ = [
     "Connection",

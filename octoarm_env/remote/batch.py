@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from octoarm_env._core import Request
 from octoarm_env.arrays import Float
 from octoarm_env.batch import Flags
-from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
-from octoarm_env.remote.world import Access, RemoteWorld
+from octoarm_env.remote.world import Access, RemoteWorld, StepAnswer
 
 Infos = dict[str, Any]
 
@@ -37,7 +36,7 @@ class RemoteBatch(RemoteWorld):
     def __init__(
         self,
         access: Access,
-        settings: Mapping[str, Any],
+        settings: dict[str, Any],
         count: int,
         seen: tuple[str, ...],
         max_episode_steps: int | None,
@@ -69,7 +68,7 @@ class RemoteBatch(RemoteWorld):
         """The actions after the checks that the step of a batch makes."""
 
     @abstractmethod
-    def _seen(self, answer: Any, before: str = "") -> Any:
+    def _seen(self, answer: StepAnswer, before: str = "") -> Any:
         """The observations of an answer, whose names have this before them."""
 
     @abstractmethod
@@ -80,30 +79,28 @@ class RemoteBatch(RemoteWorld):
         self, mask: list[bool] | None, seeds: list[int | None], ask: Any
     ) -> tuple[Any, Infos]:
         """Begin episodes, of those in the mask or of all."""
-        request = EnvironmentRequest()
-        request.reset.SetInParent()
-        settings = request.reset.settings
+        settings: dict[str, Any] = {}
         chosen = np.ones(self._count, np.bool_) if mask is None else np.array(mask, np.bool_)
         given = np.array([each is not None for each in seeds])
         if not chosen.all():
-            pack(settings["reset_mask"], chosen)
+            settings["reset_mask"] = chosen
         if given.any():
-            pack(settings["seed"], np.array([each or 0 for each in seeds], np.uint64))
-            pack(settings["seed_mask"], given)
+            settings["seed"] = np.array([each or 0 for each in seeds], np.uint64)
+            settings["seed_mask"] = given
         if ask is not None:
-            pack(settings[self._ask], ask)
+            settings[self._ask] = ask
 
-        def use(answer: Any) -> tuple[Any, Infos]:
+        def use(answer: StepAnswer) -> tuple[Any, Infos]:
             seen, _, _, _, infos = self._result(answer, chosen)
             self.ended = self.ended & ~chosen
             return seen, infos
 
-        return self.change(request, self.step_request(self._observed), use=use)
+        return self.change(Request.reset(settings), self.step_request(self._observed), use=use)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Float, Flags, Flags, Infos]:
         """Make a step of all arms."""
 
-        def use(answer: Any) -> tuple[Any, Float, Flags, Flags, Infos]:
+        def use(answer: StepAnswer) -> tuple[Any, Float, Flags, Flags, Infos]:
             result = self._result(answer, np.ones(self._count, np.bool_))
             _, _, terminated, truncated, infos = result
             self.ended = terminated | truncated
@@ -114,8 +111,7 @@ class RemoteBatch(RemoteWorld):
 
         with self.lock:
             self.assure()
-            request = self.step_request(self._observed + self._final)
-            pack(request.step.actions[self._action], self._checked(actions))
+            request = self.step_request(self._observed + self._final, self._checked(actions))
             if not self._begun:
                 raise ValueError(
                     "step of environment 0: no episode runs before reset or after its end; call "
@@ -123,7 +119,7 @@ class RemoteBatch(RemoteWorld):
                 )
             return self.change(request, use=use)
 
-    def _result(self, answer: Any, chosen: Flags) -> tuple[Any, Float, Flags, Flags, Infos]:
+    def _result(self, answer: StepAnswer, chosen: Flags) -> tuple[Any, Float, Flags, Flags, Infos]:
         """What an answer brings; infos of those that are chosen."""
         self._begun = True
         self._standing = {}
@@ -142,8 +138,8 @@ class RemoteBatch(RemoteWorld):
             self._add_failures(infos, self._observation(answer, "failure"), np.arange(self._count))
         return self._seen(answer), rewards, terminated, truncated, infos
 
-    def _observation(self, answer: Any, name: str) -> Any:
-        return unpack(answer.observations[self._uids[name]])
+    def _observation(self, answer: StepAnswer, name: str) -> Any:
+        return answer[1][self._numbers[name]]
 
     def _add_failures(self, infos: Infos, texts: list[str], places: NDArray[np.int64]) -> None:
         """Add why episodes failed, where they did."""
@@ -154,7 +150,7 @@ class RemoteBatch(RemoteWorld):
             for place, text in pairs:
                 infos["failure"][place], infos["_failure"][place] = text, True
 
-    def _add_finals(self, infos: Infos, answer: Any, ended: Flags) -> None:
+    def _add_finals(self, infos: Infos, answer: StepAnswer, ended: Flags) -> None:
         """Add the ends of episodes in whose places others have begun within the same step."""
         places = np.flatnonzero(ended)
         final: Infos = {}

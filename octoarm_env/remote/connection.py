@@ -6,22 +6,15 @@ import ipaddress
 import os
 import re
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from octoarm_env import _core
+from octoarm_env._core import Request
 from octoarm_env.arguments import positive
-from octoarm_env.remote.messages import (
-    EnvironmentRequest,
-    EnvironmentResponse,
-    PropertyRequest,
-    PropertyResponse,
-    pack,
-    unpack,
-)
 from octoarm_env.remote.tls import diagnose
 
 _PORT = 50051
@@ -39,6 +32,24 @@ _DIRECT = ("no_grpc_proxy", "no_proxy")
 """Variables that name the hosts to which no proxy leads: the first that is set."""
 
 T = TypeVar("T")
+
+
+class Spec(NamedTuple):
+    """What there is of an action or an observation.
+
+    Attributes:
+        number: of its tensors in requests and answers.
+        shape: of its tensors.
+        low, high: bounds, where they are doubles: one for all elements, or one for each.
+    """
+
+    number: int
+    shape: list[int]
+    low: list[float] | None
+    high: list[float] | None
+
+
+Specs = dict[str, Spec]
 
 
 class RemoteError(RuntimeError):
@@ -194,10 +205,15 @@ class Connection:
             self._owed = False
             return result
 
-    def post(self, request: Any) -> None:
+    def post(self, request: Request) -> None:
         """Send a request, within an :meth:`exchange`, without waiting for its answer."""
         self._owed = True
-        self._stream.send(request.SerializeToString())
+        self._stream.send(request)
+
+    def ask(self, request: Request) -> Any:
+        """Send a request, within an :meth:`exchange`, and give what is answered."""
+        self.post(request)
+        return self.answer(request.kind)
 
     def answer(self, kind: str) -> Any:
         """Wait, within an :meth:`exchange`, for the next answer, which must be of this kind."""
@@ -208,18 +224,17 @@ class Connection:
                 f"{kind} within that time"
             )
             raise self._broken(fault, TimeoutError)
-        if isinstance(received, tuple):
-            raise self._ended(*received)
-        response = EnvironmentResponse.FromString(received)
-        found = response.WhichOneof("payload")
+        found, content = received
+        if found == "ended":
+            raise self._ended(*content)
         if found == "error":
-            code, message = response.error.code, response.error.message
+            code, message = content
             raise _Refused(
                 ValueError(message) if code == _INVALID_ARGUMENT else RemoteError(code, message)
             )
         if found != kind:
             raise self._broken(f"the server at {self.address} answered {kind} by {found}")
-        return getattr(response, found)
+        return content
 
     def _ended(self, code: str, details: str) -> OSError:
         """The exception for a stream that ended so."""
@@ -240,21 +255,19 @@ class Connection:
         self._end(fault)
         return kind(fault)
 
-    def enter_world(self, settings: Mapping[str, Any]) -> Any:
-        """Make a world and join it; its ActionObservationSpecs.
+    def enter_world(self, settings: dict[str, Any]) -> tuple[Specs, Specs]:
+        """Make a world and join it; the specs of its actions and observations.
 
         Raises:
             RemoteError: the server is of another version, or refuses.
         """
         self._check_version(str(self.read("version")))
-        request = EnvironmentRequest()
-        request.create_world.SetInParent()
-        for name, value in settings.items():
-            pack(request.create_world.settings[name], value)
-        self.post(request)
-        world = self.answer("create_world").world_name
-        self.post(EnvironmentRequest(join_world={"world_name": world}))
-        return self.answer("join_world").specs
+        world_name: str = self.ask(Request.create_world(settings))
+        actions, observations = self.ask(Request.join_world(world_name))
+        return (
+            {name: Spec(*entries) for name, entries in actions.items()},
+            {name: Spec(*entries) for name, entries in observations.items()},
+        )
 
     def _check_version(self, found: str) -> None:
         # Before the first major version, a minor one breaks what there was.
@@ -268,23 +281,7 @@ class Connection:
 
     def read(self, key: str) -> Any:
         """Read a property."""
-        self.post(property_request(PropertyRequest(read_property={"key": key})))
-        response = PropertyResponse.FromString(self.answer("extension").value)
-        return unpack(response.read_property.value)
-
-
-def write_request(key: str, value: Any) -> Any:
-    """The request that writes a property."""
-    message = PropertyRequest(write_property={"key": key})
-    pack(message.write_property.value, value)
-    return property_request(message)
-
-
-def property_request(message: Any) -> Any:
-    """The request for something of the properties extension."""
-    request = EnvironmentRequest()
-    request.extension.Pack(message)
-    return request
+        return self.ask(Request.read(key))
 
 
 def _parse(address: str, certificate: str | Path | None) -> tuple[str, int, bool]:

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from octoarm_env import _core
+from octoarm_env._core import Request
 from octoarm_env.arrays import Float
 from octoarm_env.env import OctoArmEnv
-from octoarm_env.remote.connection import write_request
-from octoarm_env.remote.messages import EnvironmentRequest, pack, unpack
 from octoarm_env.remote.served import ACCESS, ServedEnv
-from octoarm_env.remote.world import Access, CycleWorld, world_settings
+from octoarm_env.remote.world import Access, CycleWorld, StepAnswer, world_settings
 from octoarm_env.settings import EpisodeSettings
 
 __all__ = ["RemoteOctoArm"]
@@ -36,15 +35,12 @@ class RemoteEpisode(CycleWorld):
         self._running = False
 
     def seed(self, seed: int) -> None:
-        self.change(write_request("seed", seed), use=lambda answer: None)
+        self.change(Request.write("seed", seed), use=lambda answer: None)
 
     def reset(self, phase: float | None = None) -> tuple[Float, dict[str, Any]]:
-        request = EnvironmentRequest()
-        request.reset.SetInParent()
-        if phase is not None:
-            pack(request.reset.settings["phase"], phase)
+        request = Request.reset({} if phase is None else {"phase": phase})
 
-        def use(answer: Any) -> tuple[Float, dict[str, Any]]:
+        def use(answer: StepAnswer) -> tuple[Float, dict[str, Any]]:
             lengths, _, _, info = self._result(answer)
             return lengths, info
 
@@ -54,23 +50,20 @@ class RemoteEpisode(CycleWorld):
         with self.lock:
             self.assure()
             checked = _core.check_step(action, self._running)
-            request = self.step_request(_OBSERVED)
-            pack(request.step.actions[self._action], checked)
-            return self.change(request, use=self._result)
+            return self.change(self.step_request(_OBSERVED, checked), use=self._result)
 
-    def _result(self, answer: Any) -> tuple[Float, float, bool, dict[str, Any]]:
-        found = answer.observations
-        self._running = answer.state == _RUNNING
-        terminated = answer.state == _TERMINATED
+    def _result(self, answer: StepAnswer) -> tuple[Float, float, bool, dict[str, Any]]:
+        state, found = answer
+        self._running, terminated = state == _RUNNING, state == _TERMINATED
         info: dict[str, Any] = {}
         for name in self._info:
-            value = unpack(found[self._uids[name]])
+            value = found[self._numbers[name]]
             scalar = np.int64 if isinstance(value, int) else np.float64
             info[name] = value if isinstance(value, np.ndarray) else scalar(value)
         if terminated:
-            info["failure"] = unpack(found[self._uids["failure"]])
-        lengths = unpack(found[self._uids["spring_lengths"]])
-        return lengths, unpack(found[self._uids["reward"]]), terminated, info
+            info["failure"] = found[self._numbers["failure"]]
+        lengths, reward = (found[self._numbers[name]] for name in ("spring_lengths", "reward"))
+        return lengths, reward, terminated, info
 
     def teacher_action(self) -> Float:
         return self.table("teacher_action")

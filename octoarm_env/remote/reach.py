@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
@@ -13,7 +11,7 @@ from octoarm_env.arrays import Float
 from octoarm_env.reach import OctoArmReachEnv, OctoArmReachVectorEnv, ReachSettings
 from octoarm_env.remote.batch import RemoteBatch
 from octoarm_env.remote.served import ACCESS, ServedBatchEnv, ServedEnv
-from octoarm_env.remote.world import Access, world_settings
+from octoarm_env.remote.world import Access, StepAnswer, world_settings
 
 __all__ = ["RemoteOctoArmReach", "RemoteOctoArmReachVectorEnv"]
 
@@ -51,7 +49,7 @@ class RemoteReachBatch(RemoteBatch):
     def _checked(self, actions: ArrayLike) -> Float:
         return _core.check_reach_actions(actions, self._count, self.action_len)
 
-    def _seen(self, answer: Any, before: str = "") -> dict[str, Float]:
+    def _seen(self, answer: StepAnswer, before: str = "") -> dict[str, Float]:
         lengths = self._observation(answer, f"{before}spring_lengths")
         if self._rates:
             rates = self._observation(answer, f"{before}length_rates")

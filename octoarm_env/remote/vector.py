@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -14,7 +13,7 @@ from octoarm_env.arrays import Float
 from octoarm_env.remote.batch import RemoteBatch
 from octoarm_env.remote.env import RemoteOctoArm
 from octoarm_env.remote.served import ServedBatchEnv
-from octoarm_env.remote.world import Access, CycleWorld, world_settings
+from octoarm_env.remote.world import Access, CycleWorld, StepAnswer, world_settings
 from octoarm_env.settings import EpisodeSettings
 from octoarm_env.vector import OctoArmVectorEnv
 
@@ -54,7 +53,7 @@ class RemoteEpisodeBatch(RemoteBatch, CycleWorld):
     def _checked(self, actions: ArrayLike) -> Float:
         return _core.check_actions(actions, self._count)
 
-    def _seen(self, answer: Any, before: str = "") -> Float:
+    def _seen(self, answer: StepAnswer, before: str = "") -> Float:
         lengths: Float = self._observation(answer, f"{before}spring_lengths")
         return lengths
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from octoarm_env._core import Request
 from octoarm_env.arguments import flag
 from octoarm_env.arrays import Float
-from octoarm_env.remote.connection import TOKEN_VARIABLE, Connection, write_request
-from octoarm_env.remote.messages import EnvironmentRequest
+from octoarm_env.remote.connection import TOKEN_VARIABLE, Connection, Specs
 from octoarm_env.settings import Settings
 
 _KEPT = 64
@@ -28,6 +28,8 @@ would go with the server.
 """
 
 T = TypeVar("T")
+StepAnswer = tuple[int, dict[int, Any]]
+"""State of the protocol, and the observations by their numbers."""
 
 
 @dataclass(frozen=True)
@@ -105,26 +107,28 @@ class RemoteWorld:
         bounds: of the spring lengths [m].
     """
 
-    def __init__(self, access: Access, settings: Mapping[str, Any]) -> None:
+    def __init__(self, access: Access, settings: dict[str, Any]) -> None:
         self._access = access
         self._settings = settings
         self.lock = threading.RLock()
         # All that has brought the world to where it stands.
-        self._past: list[Any] = []
+        self._past: list[Request] = []
         self.connection = access.connect()
         try:
-            specs = self._enter(self.connection)
+            actions, observations = self._enter(self.connection)
         except BaseException:
             self.connection.close()
             raise
-        self._uids = {spec.name: uid for uid, spec in specs.observations.items()}
-        ((self._action, action),) = specs.actions.items()
-        self.action_len = int(action.shape[-1])
-        lengths = specs.observations[self._uids["spring_lengths"]]
-        self.observation_len = int(lengths.shape[-1])
-        self.bounds = (lengths.min.doubles.array[0], lengths.max.doubles.array[0])
+        self._numbers = {name: spec.number for name, spec in observations.items()}
+        (action,) = actions.values()
+        self._action, self.action_len = action.number, action.shape[-1]
+        lengths = observations["spring_lengths"]
+        self.observation_len = lengths.shape[-1]
+        if not (lengths.low and lengths.high):
+            raise RuntimeError("the server tells no bounds of spring_lengths")
+        self.bounds = (lengths.low[0], lengths.high[0])
 
-    def _enter(self, connection: Connection) -> Any:
+    def _enter(self, connection: Connection) -> tuple[Specs, Specs]:
         return connection.exchange(lambda: connection.enter_world(self._settings))
 
     def _resume(self) -> None:
@@ -133,16 +137,9 @@ class RemoteWorld:
 
         def replay() -> None:
             for request in self._past:
-                if request.WhichOneof("payload") == "step":
-                    # Nobody looks at what it brings.
-                    blind = EnvironmentRequest()
-                    blind.CopyFrom(request)
-                    blind.step.ClearField("requested_observations")
-                    connection.post(blind)
-                else:
-                    connection.post(request)
+                connection.post(request.blind())
             for request in self._past:
-                connection.answer(request.WhichOneof("payload"))
+                connection.answer(request.kind)
 
         try:
             self._enter(connection)
@@ -183,7 +180,7 @@ class RemoteWorld:
         """
         self.exchange(lambda connection: None)
 
-    def change(self, *requests: Any, use: Callable[[Any], T]) -> T:
+    def change(self, *requests: Request, use: Callable[[Any], T]) -> T:
         """Send requests that change the world, each after the answer to the one before it.
 
         Args:
@@ -193,23 +190,21 @@ class RemoteWorld:
 
         def work(connection: Connection) -> T:
             for request in requests:
-                connection.post(request)
-                answer = connection.answer(request.WhichOneof("payload"))
+                answer = connection.ask(request)
             result = use(answer)
             if self._access.reconnect:
                 if len(self._past) >= _KEPT:
-                    self._past = [write_request("state_bytes", connection.read("state_bytes"))]
+                    self._past = [Request.write("state_bytes", connection.read("state_bytes"))]
                 else:
                     self._past = [*self._past, *requests]
             return result
 
         return self.exchange(work)
 
-    def step_request(self, wanted: tuple[str, ...]) -> Any:
-        """A step without an action, which brings what is wanted."""
-        request = EnvironmentRequest()
-        request.step.requested_observations.extend(self._uids[name] for name in wanted)
-        return request
+    def step_request(self, wanted: tuple[str, ...], action: Float | None = None) -> Request:
+        """A step, which brings what is wanted."""
+        numbers = [self._numbers[name] for name in wanted]
+        return Request.step(numbers, None if action is None else (self._action, action))
 
     def read(self, *keys: str) -> Any:
         """Read a property, or a list of several."""
@@ -229,11 +224,10 @@ class RemoteWorld:
         if not isinstance(state, bytes | str):
             raise TypeError(f"state must be bytes or a text, not {type(state).__name__}")
         key = "state" if isinstance(state, str) else "state_bytes"
-        request = write_request(key, state)
+        request = Request.write(key, state)
 
         def work(connection: Connection) -> None:
-            connection.post(request)
-            connection.answer("extension")
+            connection.ask(request)
             begun, ended = (connection.read(name) for name in ("begun", "ended"))
             self._loaded(bool(begun), ended)
             self._past = [request]

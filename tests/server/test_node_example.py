@@ -36,14 +36,14 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
             f"{', '.join(missing)} not installed: OCTOARM_NODE_MODULES names no folder with them, "
             "nor has `npm install` been run in rust/server/examples/node"
         )
-    # A module looks for packages beside itself, and for the protocol two folders above.
+    # A module looks for packages beside itself, and for the protocol beside the server's folder.
     root = tmp_path_factory.mktemp("node")
-    folder = root / "examples" / "node"
+    folder = root / "server" / "examples" / "node"
     folder.mkdir(parents=True)
     for file in ("client.mjs", "package.json"):
         shutil.copy(EXAMPLE / file, folder)
     (folder / "node_modules").symlink_to(modules.resolve())
-    (root / "proto").symlink_to(SERVER / "proto")
+    (root / "protocol").symlink_to(SERVER.parent / "protocol")
 
     def start(*arguments: str, token: str | None = None) -> subprocess.Popen[str]:
         environment = {name: value for name, value in os.environ.items() if name != "OCTOARM_TOKEN"}

@@ -360,19 +360,6 @@ def test_too_many_worlds_are_refused() -> None:
         first.close()
 
 
-def test_a_missing_extra_names_the_command() -> None:
-    # As in a Python without protobuf.
-    program = (
-        "import sys; sys.modules['google.protobuf'] = None; import octoarm_env\n"
-        "try: import octoarm_env.remote\n"
-        "except ImportError as error: print(error)"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert 'pip install "octoarm-env[remote]"' in result.stdout
-
-
 def test_a_wait_of_any_length(server: ServerProcess) -> None:
     env = RemoteOctoArm(server.address, timeout=1e300, reconnect=True)
     env.reset(seed=1)

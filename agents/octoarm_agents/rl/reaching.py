@@ -158,7 +158,7 @@ class _Run(BaseCallback):
             )
         self.model.set_logger(Logger(None, []))
         left = self.wanted["steps"] - self.model.num_timesteps
-        self.begun = time.perf_counter()
+        self.begun = time.process_time()
         self.model.learn(left, callback=self, reset_num_timesteps=saved is None)
         # More than one where rollouts are too long for so many evaluations.
         while len(self.curve) < self.wanted["evaluations"]:
@@ -188,7 +188,7 @@ class _Run(BaseCallback):
 
     def evaluate(self) -> None:
         """Judge the policy as it is, and save all that the rest of the training depends on."""
-        self.seconds += time.perf_counter() - self.begun
+        self.seconds += time.process_time() - self.begun
         wanted, done = self.wanted, self.num_done()
         training = {"algorithm": wanted["algorithm"], "seed": wanted["seed"], "steps": done}
         network = export_goal_network(self.model, self.envs)
@@ -223,7 +223,7 @@ class _Run(BaseCallback):
         }
         write_checkpoint(self.checkpoint, self.model, state)
         self.progress(self.curve[-1])
-        self.begun = time.perf_counter()
+        self.begun = time.process_time()
 
 
 def export_goal_network(model: Any, normalization: VecNormalize) -> Network:

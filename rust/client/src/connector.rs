@@ -28,6 +28,8 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// What a server may send before it must wait \[bytes\]: the answer to a step of a thousand arms.
 const WINDOW: u32 = 1 << 24;
+/// Largest part \[bytes\] in which a message is sent: every one costs a call to the system or two.
+const FRAME: u32 = 1 << 20;
 
 trait Io: AsyncRead + AsyncWrite + Send {}
 impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
@@ -61,7 +63,8 @@ impl Connector {
             .keep_alive_timeout(KEEPALIVE_TIMEOUT)
             .keep_alive_while_idle(true)
             .initial_stream_window_size(WINDOW)
-            .initial_connection_window_size(WINDOW);
+            .initial_connection_window_size(WINDOW)
+            .max_frame_size(FRAME);
         let mut tls = None;
         if access.encrypted {
             // What the requests say of themselves.

@@ -8,8 +8,10 @@ mod episode;
 mod episode_batch;
 mod errors;
 mod infos;
+mod messages;
 mod reach;
 mod stream;
+mod tensor;
 
 /// The compiled core of `octoarm_env`; use the typed package around it.
 #[pyo3::pymodule]
@@ -30,6 +32,8 @@ mod _core {
     #[pymodule_export]
     use crate::errors::DomainError;
     use crate::errors::invalid;
+    #[pymodule_export]
+    use crate::messages::Request;
     #[pymodule_export]
     use crate::reach::{
         ReachBatch, check_reach_actions, drawn_reach_bodies, reach_rewards, reachable_goals,

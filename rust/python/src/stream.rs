@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 use octoarm_client::{Access, Ending, Event, Stream as Inner};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+
+use crate::messages::{Answer, Request, answer};
 
 /// The one method of the protocol.
 const METHOD: &str = "/dm_env_rpc.v1.Environment/Process";
@@ -13,14 +14,7 @@ const METHOD: &str = "/dm_env_rpc.v1.Environment/Process";
 /// Longest time after which Python's signals are looked for.
 const SLICE: Duration = Duration::from_millis(20);
 
-/// A message, or how the stream ended: the name of gRPC's code, and what is told.
-#[derive(IntoPyObject)]
-enum Received<'py> {
-    Message(Bound<'py, PyBytes>),
-    Ended((String, String)),
-}
-
-/// A stream to a server of dm_env_rpc; messages are bytes. It ends with the object.
+/// A stream to a server of dm_env_rpc. It ends with the object.
 #[pyclass(frozen, module = "octoarm_env._core")]
 pub(crate) struct Stream {
     inner: Inner,
@@ -69,18 +63,19 @@ impl Stream {
         Ok(self.next(py, seconds(timeout))? == Some(Event::Ready))
     }
 
-    /// Sends a message.
-    fn send(&self, message: &[u8]) {
-        self.inner.send(message.to_vec().into());
+    /// Sends a request.
+    fn send(&self, request: &Request) {
+        self.inner.send(request.to_bytes().into());
     }
 
-    /// Waits for the next message, at most so long [s]; None if there was none.
-    fn receive<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Option<Received<'py>>> {
+    /// Waits for the next answer, at most so long [s]; None if there was none. "ended" is how the stream
+    /// did: the name of gRPC's code, and what is told.
+    fn receive<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Option<Answer<'py>>> {
         Ok(match self.next(py, seconds(timeout))? {
             None | Some(Event::Ready) => None,
-            Some(Event::Message(message)) => Some(Received::Message(PyBytes::new(py, &message))),
+            Some(Event::Message(message)) => Some(answer(py, &message)?),
             Some(Event::Ended(Ending { code, details, .. })) => {
-                Some(Received::Ended((code, details)))
+                Some(("ended", (code, details).into_pyobject(py)?.into_any()))
             }
         })
     }

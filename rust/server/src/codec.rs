@@ -1,12 +1,11 @@
 //! Requests as they come, answers as they are: a large request is not decoded where streams are served.
 
 use bytes::{Buf as _, Bytes};
+use octoarm_protocol::{EnvironmentRequest, EnvironmentResponse};
 use prost::Message as _;
 use tonic::Status;
 use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
-
-use crate::protocol::{EnvironmentRequest, EnvironmentResponse};
 
 /// The service, whose requests come as bytes.
 #[allow(missing_docs, unreachable_pub, unused_qualifications, clippy::all, clippy::pedantic)]

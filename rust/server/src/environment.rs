@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use octoarm_arm::ParameterError;
 use octoarm_env::{EpisodeBatch, Last, Outcome, PartialStep, ReachOutcome, Task, Words};
+use octoarm_protocol::{EnvironmentStateType, StepResponse, Tensor};
 
 use crate::episodes::{Episodes, read};
 use crate::next_reset::{NextReset, Seed};
-use crate::protocol::{EnvironmentStateType, StepResponse, Tensor};
 use crate::reply::{Answer, Refusal};
 use crate::specs::{Part, Specs, words};
 use crate::tensor;

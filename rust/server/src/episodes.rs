@@ -4,8 +4,8 @@ use octoarm_arm::{ArmParameters, ArmState, ParameterError};
 use octoarm_env::{
     Episode, EpisodeBatch, Outcome, Reach, ReachOutcome, Reading, Swing, Word, Words,
 };
+use octoarm_protocol::Tensor;
 
-use crate::protocol::Tensor;
 use crate::specs::{TaskSpecs, words};
 use crate::task_settings::{TaskName, TaskSettings};
 use crate::tensor;

@@ -51,7 +51,6 @@ mod next_reset;
 mod options;
 mod pool;
 mod properties;
-pub mod protocol;
 mod reply;
 mod server;
 mod service;
@@ -72,6 +71,7 @@ mod worlds;
 #[cfg(feature = "otel")]
 pub use export::Traces;
 pub use log::LogRate;
+pub use octoarm_protocol as protocol;
 pub use options::Options;
 pub use server::{Reloader, ServeError, Server};
 pub use settings::{LogFormat, Settings, SettingsError};

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use octoarm_env::{Reach, Task};
+use octoarm_protocol::Tensor;
 use serde_json::Value;
 
-use crate::protocol::Tensor;
 use crate::reply::{Answer, Refusal, quoted};
 use crate::task_settings::TaskName;
 use crate::tensor::{doubles_of, to_json};

@@ -111,8 +111,8 @@ pub struct Options {
     #[arg(long, value_name = "SECONDS")]
     keepalive_timeout: Option<f64>,
     /// Seconds for which a stream's next request is looked for before the server sleeps, while at most
-    /// one stream for two cores is open: a lone client is answered sooner; 0 switches it off
-    /// [default: 0.0002].
+    /// one stream for two cores is open, and makes no steps of a batch: a lone client is answered
+    /// sooner; 0 switches it off [default: 0.0002].
     #[arg(long, value_name = "SECONDS")]
     busy_poll: Option<f64>,
     /// Seconds that running requests may take when the server is told to stop [default: 10].

@@ -1,19 +1,19 @@
 //! The properties extension: what can be read and written beside steps.
 
 use octoarm_env::MUSCLES;
+use octoarm_protocol::extensions::properties::property_request::Payload as Request;
+use octoarm_protocol::extensions::properties::property_response::Payload as Response;
+use octoarm_protocol::extensions::properties::{
+    ListPropertyResponse, PropertyRequest, PropertyResponse, PropertySpec, ReadPropertyResponse,
+    WritePropertyResponse,
+};
+use octoarm_protocol::{Tensor, TensorSpec};
 use prost::Message as _;
 use prost_types::Any;
 use tonic::Code;
 
 use crate::environment::Environment;
 use crate::episodes::Episodes;
-use crate::protocol::extensions::properties::property_request::Payload as Request;
-use crate::protocol::extensions::properties::property_response::Payload as Response;
-use crate::protocol::extensions::properties::{
-    ListPropertyResponse, PropertyRequest, PropertyResponse, PropertySpec, ReadPropertyResponse,
-    WritePropertyResponse,
-};
-use crate::protocol::{Tensor, TensorSpec};
 use crate::reply::{Answer, Refusal, quoted};
 use crate::state::{self, Form};
 use crate::task_settings::TaskName;

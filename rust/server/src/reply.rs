@@ -3,9 +3,8 @@
 use std::fmt::Display;
 
 use octoarm_arm::ParameterError;
+use octoarm_protocol::Status;
 use tonic::Code;
-
-use crate::protocol::Status;
 
 /// Most characters of a message, and of a client's word in it.
 const LONGEST: usize = 2000;

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
+use octoarm_protocol::EnvironmentResponse;
+use octoarm_protocol::environment_response::Payload;
 use prost::Message as _;
 use tokio_stream::Stream;
 use tonic::{Request, Response, Status, Streaming};
@@ -13,8 +15,6 @@ use crate::auth::Owner;
 use crate::codec::Environment;
 use crate::intake::{Room, SMALL, Share};
 use crate::listener::peer_of;
-use crate::protocol::EnvironmentResponse;
-use crate::protocol::environment_response::Payload;
 use crate::reply::Refusal;
 use crate::session::Session;
 use crate::sessions::Sessions;
@@ -123,7 +123,7 @@ impl Environment for Service {
                 }
                 // A client that sends ahead lets the others have their turn, and its answers go out.
                 tokio::task::yield_now().await;
-                if sessions.can_busy_poll() {
+                if sessions.can_busy_poll() && session.is_quick() {
                     early = busy_poll(&mut requests, &sessions).await;
                 }
             }

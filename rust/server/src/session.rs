@@ -7,6 +7,13 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use octoarm_arm::ParameterError;
 use octoarm_env::{Autoreset, Swing, SwingRun};
+use octoarm_protocol::environment_request::Payload as Request;
+use octoarm_protocol::environment_response::Payload as Response;
+use octoarm_protocol::{
+    CreateWorldResponse, DestroyWorldRequest, DestroyWorldResponse, EnvironmentRequest,
+    EnvironmentResponse, JoinWorldRequest, JoinWorldResponse, LeaveWorldResponse, ResetRequest,
+    ResetResponse, ResetWorldRequest, ResetWorldResponse, StepRequest, StepResponse,
+};
 use prost_types::Any;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status};
@@ -17,13 +24,6 @@ use crate::environment::Environment;
 use crate::listener::Peer;
 use crate::next_reset::NextReset;
 use crate::properties;
-use crate::protocol::environment_request::Payload as Request;
-use crate::protocol::environment_response::Payload as Response;
-use crate::protocol::{
-    CreateWorldResponse, DestroyWorldRequest, DestroyWorldResponse, EnvironmentRequest,
-    EnvironmentResponse, JoinWorldRequest, JoinWorldResponse, LeaveWorldResponse, ResetRequest,
-    ResetResponse, ResetWorldRequest, ResetWorldResponse, StepRequest, StepResponse,
-};
 use crate::reply::{Answer, Refusal, quoted};
 use crate::sessions::{Activity, Sessions};
 use crate::settings::Limits;
@@ -149,6 +149,12 @@ impl Session {
     /// Told when the stream has been idle for too long.
     pub(crate) fn idle(&self) -> CancellationToken {
         self.activity.idle.clone()
+    }
+
+    /// Whether a step is done where the stream is served. After a longer one the next request does not come
+    /// at once: a thread that looks for it is in the way of those that the client needs.
+    pub(crate) fn is_quick(&self) -> bool {
+        self.agent().map_or(true, |agent| agent.world.microseconds <= INLINE)
     }
 
     /// What the stream has joined.

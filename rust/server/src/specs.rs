@@ -1,10 +1,10 @@
 //! What a client of a world can do and see.
 
 use octoarm_env::{Reading, Word, Words};
+use octoarm_protocol::tensor::{DoubleArray, Int64Array};
+use octoarm_protocol::tensor_spec::{Value, value};
+use octoarm_protocol::{ActionObservationSpecs, DataType, StepRequest, TensorSpec};
 
-use crate::protocol::tensor::{DoubleArray, Int64Array};
-use crate::protocol::tensor_spec::{Value, value};
-use crate::protocol::{ActionObservationSpecs, DataType, StepRequest, TensorSpec};
 use crate::reply::{Answer, Refusal};
 use crate::tensor::doubles_of;
 

@@ -1,14 +1,14 @@
 //! States of episodes on the wire: JSON text for eyes, MessagePack where they are many or often.
 
 use octoarm_arm::{ParameterError, read_fields, read_json};
+use octoarm_protocol::Tensor;
+use octoarm_protocol::tensor::{Payload, StringArray, Uint8Array};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tonic::Code;
 
 use crate::environment::Environment;
 use crate::episodes::Episodes;
-use crate::protocol::Tensor;
-use crate::protocol::tensor::{Payload, StringArray, Uint8Array};
 use crate::reply::{Answer, Refusal};
 use crate::tensor;
 

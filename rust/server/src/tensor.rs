@@ -1,11 +1,11 @@
 //! Tensors from the wire, checked; and tensors for the wire.
 
-use serde_json::Value;
-
-use crate::protocol::tensor::{
+use octoarm_protocol::tensor::{
     BoolArray, DoubleArray, Int64Array, Payload, StringArray, Uint8Array, Uint64Array,
 };
-use crate::protocol::{DataType, Tensor};
+use octoarm_protocol::{DataType, Tensor};
+use serde_json::Value;
+
 use crate::reply::{Answer, Refusal};
 
 /// Most dimensions: no tensor of the arm has more than three.

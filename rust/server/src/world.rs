@@ -2,12 +2,12 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
+use octoarm_protocol::{EnvironmentStateType, StepRequest, StepResponse};
 use tokio::sync::oneshot;
 use tonic::Code;
 
 use crate::environment::{Advance, Environment};
 use crate::next_reset::NextReset;
-use crate::protocol::{EnvironmentStateType, StepRequest, StepResponse};
 use crate::reply::{Answer, Refusal};
 use crate::specs::Specs;
 use crate::task_settings::TaskName;

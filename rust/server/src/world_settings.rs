@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use octoarm_arm::{ArmLanes, ArmParameters};
 use octoarm_env::{Autoreset, Senses};
+use octoarm_protocol::Tensor;
 use serde_json::{Map, Value};
 
 use crate::next_reset::{seed, whole};
-use crate::protocol::Tensor;
 use crate::reply::{Answer, Refusal};
 use crate::settings::Limits;
 use crate::task_settings::{ARM, FRAME, TaskName, TaskSettings, VARY};

@@ -22,7 +22,7 @@ const PROPERTIES = "dm_env_rpc.v1.extensions.properties";
 const protocol = loadSync(
   ["dm_env_rpc/v1/dm_env_rpc.proto", "dm_env_rpc/v1/extensions/properties.proto"],
   {
-    includeDirs: [fileURLToPath(new URL("../../proto", import.meta.url))],
+    includeDirs: [fileURLToPath(new URL("../../../protocol/proto", import.meta.url))],
     keepCase: true,
     enums: String,
     longs: String,

@@ -7,18 +7,18 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicU64 as Number, Ordering};
 use std::time::Duration;
 
+use octoarm_protocol::CreateWorldRequest;
+use octoarm_protocol::tensor::{
+    BoolArray, DoubleArray, FloatArray, Int8Array, Int64Array, Payload, ProtoArray, StringArray,
+    Uint64Array,
+};
+use octoarm_protocol::{EnvironmentStateType as State, Tensor};
 use proptest::collection::{btree_map, vec};
 use proptest::prelude::*;
 use tokio::runtime::Runtime;
 
 use super::*;
 use crate::metrics::Metrics;
-use crate::protocol::CreateWorldRequest;
-use crate::protocol::tensor::{
-    BoolArray, DoubleArray, FloatArray, Int8Array, Int64Array, Payload, ProtoArray, StringArray,
-    Uint64Array,
-};
-use crate::protocol::{EnvironmentStateType as State, Tensor};
 use crate::settings::Limits;
 use crate::tensor::{doubles, integer, text};
 
@@ -38,7 +38,10 @@ fn open(sessions: &Arc<Sessions>) -> Session {
     Session::new(Arc::clone(sessions), Peer::new(connection, address), None)
 }
 
-async fn ask(session: &mut Session, request: Request) -> Result<Response, crate::protocol::Status> {
+async fn ask(
+    session: &mut Session,
+    request: Request,
+) -> Result<Response, octoarm_protocol::Status> {
     let answer = session.answer(EnvironmentRequest { payload: Some(request) }).await;
     match answer.payload.expect("an answer holds something") {
         Response::Error(status) => Err(status),
@@ -156,7 +159,7 @@ fn who_leaves_can_join_again_and_begins_anew() {
         assert_eq!(code(&mut session, join_of(&world)).await, Code::FailedPrecondition);
         state(&mut session).await;
         for _ in 0..2 {
-            let leave = Request::LeaveWorld(crate::protocol::LeaveWorldRequest {});
+            let leave = Request::LeaveWorld(octoarm_protocol::LeaveWorldRequest {});
             assert_eq!(code(&mut session, leave).await, Code::Ok);
         }
         assert_eq!(code(&mut session, join_of(&world)).await, Code::Ok);
@@ -501,7 +504,7 @@ fn any_request() -> impl Strategy<Value = Request> {
         (name, any_settings()).prop_map(|(world_name, settings)| {
             Request::ResetWorld(ResetWorldRequest { world_name, settings })
         }),
-        Just(Request::LeaveWorld(crate::protocol::LeaveWorldRequest {})),
+        Just(Request::LeaveWorld(octoarm_protocol::LeaveWorldRequest {})),
         name.prop_map(|world_name| destroy_of(&world_name)),
         (
             "(type\\.googleapis\\.com/dm_env_rpc\\.v1\\.extensions\\.properties\\.PropertyRequest\

@@ -1,4 +1,5 @@
-//! The messages and the service of the protocol, as compiled from `proto/`.
+//! The messages and the service of [dm_env_rpc](https://github.com/google-deepmind/dm_env_rpc), version 1,
+//! as compiled from `proto/`.
 
 #![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]
 
