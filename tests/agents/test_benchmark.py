@@ -1,6 +1,7 @@
 """`octoarm benchmark`: one run, plausible figures."""
 
 import json
+import shutil
 
 import pytest
 from octoarm_agents.benchmark import contenders as names
@@ -25,6 +26,7 @@ def two_contenders(monkeypatch):
     few = [Contender(name, fitted(names.FIGURE, 1e6, float, 10)) for name in (names.ARM, "other")]
     monkeypatch.setattr(speed, "make_contenders", lambda: few)
     monkeypatch.setattr(speed, "has_mujoco", lambda: False)
+    monkeypatch.setattr(speed, "node", lambda: None)
     monkeypatch.setattr(speed, "_memory_per_environment", lambda: None)
 
 
@@ -49,11 +51,13 @@ def test_figures_of_one_run(octoarm, tmp_path):
     assert {names.ARM, names.ARM_DRY, names.ARM_SERVO, names.ARM_STEP} <= set(rows)
     assert {names.ENV_BARE, names.ENV_MADE} | batches | vectors | peers | elsewhere <= set(rows)
     assert {names.RESETS, names.RESETS_OWN, names.RESETS_ANY, names.REACH} <= set(rows)
+    assert names.LIMIT in rows
+    assert (names.WEB in rows) == (shutil.which("node") is not None)
     for name, row in rows.items():
         figure = row["microseconds_per_arm_step"]
         assert len(figure["by_round"]) == 2
         assert 0 < figure["min"] <= figure["median"] <= figure["max"] == max(figure["by_round"])
-        if not name.startswith("reset"):
+        if not name.startswith("reset") and name != names.LIMIT:
             assert row["times_real_time"] == pytest.approx(1000 / figure["median"])
     steps = rows[names.vector_name(16, 1)]
     median = steps["microseconds_per_arm_step"]["median"]
@@ -75,6 +79,7 @@ def test_without_peers_the_rest_is_measured(octoarm):
     assert run.exit_code == 0, run.output
     missing = f'{names.TWIN} left out: not installed: pip install "octoarm-agents[benchmark]"'
     assert missing in run.stdout
+    assert f"{names.WEB} left out: there is no node on the path" in run.stdout
     assert names.ARM in run.stdout
     assert "twin /" not in run.stdout
 

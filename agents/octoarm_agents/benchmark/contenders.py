@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 from octoarm_agents.benchmark.mujoco_twin import MujocoTwin
+from octoarm_agents.benchmark.programs import PRODUCT, matrix_product, node, web_module
 from octoarm_agents.benchmark.turns import Contender, fitted, has_mujoco, timed
 from octoarm_env import (
     LIMIT_CYCLES,
@@ -65,6 +66,11 @@ RESETS_ANY = f"reset of {BATCH} environments onto any of {BODIES} bodies, 1 thre
 REACH = f"OctoArmReachVectorEnv of {BATCH}, 1 thread"
 SYNC = f"gymnasium's SyncVectorEnv of {SYNC_ENVS}"
 ASYNC = f"gymnasium's AsyncVectorEnv of {ASYNC_ENVS}"
+WEB = "one arm, WebAssembly in Node.js"
+LIMIT = "the multiplications of a step alone, as NumPy multiplies matrices"
+
+MULTIPLICATIONS = 43_956
+"""Of an arm's step in lanes, fused or not: rust/arm/benches/count_operations.py counts them."""
 
 
 def batch_name(arms: int, threads: int, *, dry: bool = False) -> str:
@@ -128,6 +134,10 @@ def make_contenders() -> list[Contender]:
         _vector_environment(SYNC, SyncVectorEnv(make * SYNC_ENVS, **mode)),
         _vector_environment(ASYNC, AsyncVectorEnv(make * ASYNC_ENVS, **mode)),
     ]
+    contenders.append(_limit())
+    if node() is not None:
+        module = web_module()
+        contenders.append(_contender(WEB, lambda: None, module.run, RUN_STEPS, close=module.close))
     if has_mujoco():
         twin, prepare = ringing_twin()
         contenders.append(_contender(TWIN, prepare, twin.step, RUN_STEPS))
@@ -160,6 +170,18 @@ def _contender(
     if physics_steps > 1:
         rates["environment_steps_per_second"] = 1e6 / physics_steps
     return Contender(name, measure, rates, close)
+
+
+def _limit() -> Contender:
+    """The processor's own limit: how long the multiplications of an arm's step take at the least.
+
+    A matrix product is nothing but fused multiply-adds, and libraries come close to the
+    processor's most.
+    """
+    product = matrix_product()
+    scale = 1e6 * MULTIPLICATIONS / PRODUCT**3
+    measure = fitted(FIGURE, scale, timed(lambda: None, product.run), 100_000)
+    return Contender(LIMIT, measure, {}, product.close)
 
 
 def _signal() -> Float:

@@ -15,6 +15,7 @@ from octoarm_agents.benchmark.contenders import (
     BATCH,
     ENV_BARE,
     ENV_MADE,
+    LIMIT,
     PHYSICS_STEPS,
     REACH,
     RESETS,
@@ -22,12 +23,14 @@ from octoarm_agents.benchmark.contenders import (
     RESETS_OWN,
     SYNC,
     TWIN,
+    WEB,
     batch_name,
     elsewhere_name,
     make_contenders,
     other_instruction_sets,
     vector_name,
 )
+from octoarm_agents.benchmark.programs import node
 from octoarm_agents.benchmark.turns import (
     NOT_INSTALLED,
     Advance,
@@ -55,6 +58,8 @@ def measure_speed(
     result = take_turns(make_contenders(), seconds, rounds, advance)
     result.comparisons = comparisons(2 if batch_name(BATCH, 2) in result.figures else 1)
     result.left_out = {} if has_mujoco() else {TWIN: NOT_INSTALLED}
+    if node() is None:
+        result.left_out[WEB] = "there is no node on the path"
     result.more = {"bytes_per_vector_sub_environment": memory}
     result.packages = ["mujoco"]
     return result
@@ -74,6 +79,7 @@ def comparisons(threads: int) -> list[Comparison]:
             for name, own in batches.items()
         ),
         ("arm_over_batch", f"one arm / batch of {BATCH}", ARM_DRY, dry),
+        ("web_over_arm", "one arm, WebAssembly / native", WEB, ARM),
         ("batch_threads", f"ArmBatch of {BATCH}: 1 / 2 threads", batch_name(BATCH, 1), batch),
         ("vector_threads", f"OctoArmVectorEnv of {BATCH}: 1 / 2 threads", alone, vector),
         ("sync_over_vector", f"SyncVectorEnv / {vector}", SYNC, vector),
@@ -88,6 +94,9 @@ def comparisons(threads: int) -> list[Comparison]:
         own, name = batch_name(BATCH, count), vector_name(BATCH, count)
         label = f"{name}: speed over the bare batch's"
         found.append(Comparison(f"vector_share_{count}_threads", label, own, name, "%"))
+    for key, name in (("batch", batch_name(BATCH, 1)), ("arm", ARM)):
+        label = f"{name}: share of what the processor's multiplications allow"
+        found.append(Comparison(f"limit_over_{key}", label, LIMIT, name, "%"))
     for key, name in (("bare", ENV_BARE), ("made", ENV_MADE)):
         label = f"{name} beyond its {PHYSICS_STEPS} physics steps"
         beyond = Comparison(f"overhead_{key}", label, name, ARM_SERVO, "µs", factor=PHYSICS_STEPS)
