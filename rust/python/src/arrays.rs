@@ -61,7 +61,12 @@ fn as_float64<'py>(
     {
         return Err(refuse("one with masked entries".to_owned()));
     }
-    let array = numpy.call_method1("require", (array, "float64", ["C", "A", "E"]))?;
+    let array = if array.cast::<PyArrayDyn<f64>>().is_ok() {
+        numpy.call_method1("require", (array, "float64", ["C", "A", "E"]))?
+    } else {
+        // Ten times as fast, and always a new array: a step's actions are of 32 bits mostly.
+        array.call_method1("astype", ("float64", "C", "unsafe", false))?
+    };
     Ok(array.cast::<PyArrayDyn<f64>>()?.readonly())
 }
 
