@@ -79,12 +79,3 @@ def test_a_tensor_that_is_none(tensor: pb.Tensor, told: str) -> None:
         pytest.raises(ValueError, match=f"the server sent {told}"),
     ):
         RemoteOctoArm(address)
-
-
-def test_a_server_of_another_version() -> None:
-    tensor = pb.Tensor(strings={"array": ["0.0.7"]})
-    with (
-        server_that_answers(value(tensor)) as address,
-        pytest.raises(RuntimeError, match="is octoarm-server 0.0.7"),
-    ):
-        RemoteOctoArm(address)
