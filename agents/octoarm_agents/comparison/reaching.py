@@ -142,5 +142,5 @@ def draw_reaching(result: Mapping[str, Any]) -> Figure:
         curves.annotate(", ".join(together), (1.0, share), fontsize=8, color=GREY, **place)
     curves.set(xscale="log", ylim=(-3, 103))
     curves.set(xlabel="environment steps", ylabel="held-out goals reached (%)")
-    curves.legend(fontsize=8, frameon=False, loc="center left")
+    curves.legend(fontsize=8, frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.9))
     return figure
