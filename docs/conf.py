@@ -47,7 +47,9 @@ nitpicky = True
 OTHERS = "(_core|collections|gymnasium|minari|np|numpy|os|pathlib|sklearn|stable_baselines3)"
 ALIASES = ("ArrayLike", "BodyLike", "Env", "Float", "Float32", "Integer", "NDArray")
 OTHER_ALIASES = ("Flags", "Frame", "Numbers", "Path", "State")
-INTERNAL = r"(.*\.)?(BatchHistory|Cluster|MadeOnce|Past|ReachHistories|Renderer|StateBasis|T)"
+INTERNAL = (
+    r"(.*\.)?(BatchHistory|Cluster|MadeOnce|Past|ReachHistories|Renderer|Request|Spec|StateBasis|T)"
+)
 nitpick_ignore_regex = [
     ("py:.*", rf"{OTHERS}\..*"),
     ("py:class", "|".join(ALIASES + OTHER_ALIASES)),

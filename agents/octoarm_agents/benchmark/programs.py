@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from octoarm_agents.web.serving import PAGE
+_ASSETS = Path(__file__).parents[1] / "web" / "page" / "assets"
 
 PRODUCT = 384
 """Rows and columns of the matrices that `matrix_product` multiplies."""
@@ -90,11 +90,10 @@ def node() -> str | None:
 
 def web_module() -> Program:
     """What steps an arm with the page's module of WebAssembly, the one with vectors, in Node.js."""
-    assets = PAGE / "assets"
-    (page,) = assets.glob("index-*.js")
+    (page,) = _ASSETS.glob("index-*.js")
     # The page asks for the one with vectors first.
     names = re.findall(r"octoarm_web-[\w-]+\.js", page.read_text(encoding="utf-8"))
-    code = assets / next(name for name in names)
+    code = _ASSETS / names[0]
     (module,) = set(re.findall(r"octoarm_web_bg-[\w-]+\.wasm", code.read_text(encoding="utf-8")))
-    path: Path = assets / module
-    return Program(node() or "node", "--input-type=module", "-e", _STEPS, str(code), str(path))
+    paths = str(code), str(_ASSETS / module)
+    return Program(node() or "node", "--input-type=module", "-e", _STEPS, *paths)
