@@ -35,6 +35,7 @@ mod episode;
 mod episode_batch;
 mod goals;
 mod limit_cycle;
+mod number_files;
 mod orbit;
 mod outcome;
 mod reach;

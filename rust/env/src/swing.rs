@@ -11,9 +11,11 @@ use octoarm_arm::{
     Actuator, Arm, ArmLanes, ArmParameters, ArmState, COORDINATES, DomainError, MuscleRow,
     ParameterError, poll,
 };
+use serde_json::json;
 
 use crate::config::{CheckedConfig, EpisodeConfig};
 use crate::control::control_step_of_lanes;
+use crate::number_files::NumberFiles;
 use crate::orbit::{Orbit, Target};
 use crate::teacher::TeacherClock;
 use crate::workers::Workers;
@@ -38,6 +40,32 @@ pub struct Snapshot {
     pub undisturbed: [f64; 4],
     /// Command that led here \[degrees\].
     pub command: [f64; 2],
+}
+
+impl Snapshot {
+    /// How many numbers a snapshot of so many compartments is in a file.
+    const fn len(compartments: usize) -> usize {
+        4 + 2 + 4 + 2 * COORDINATES * compartments
+    }
+
+    /// What is kept in a file: everything, for a swing's muscles are at rest.
+    fn numbers(&self) -> impl Iterator<Item = f64> {
+        let Self { arm: ArmState { coordinates, rates, base, .. }, undisturbed, command } = self;
+        let rows = coordinates.iter().chain(rates).flatten();
+        undisturbed.iter().chain(command).chain(base).chain(rows).copied()
+    }
+
+    /// From [`Snapshot::len`] numbers.
+    fn of_numbers(numbers: &[f64]) -> Option<Self> {
+        let (undisturbed, numbers) = numbers.split_first_chunk()?;
+        let (command, numbers) = numbers.split_first_chunk()?;
+        let (base, numbers) = numbers.split_first_chunk()?;
+        let rows = numbers.as_chunks::<COORDINATES>().0;
+        let (coordinates, rates) = rows.split_at(rows.len() / 2);
+        let (coordinates, rates) = (coordinates.to_vec(), rates.to_vec());
+        let arm = ArmState { coordinates, rates, base: *base, steps: 0, muscles: Vec::new() };
+        Some(Self { arm, undisturbed: *undisturbed, command: *command })
+    }
 }
 
 /// An arm kept on its orbit by the teacher, with a snapshot at every control instant.
@@ -125,6 +153,11 @@ fn lead_in(config: &EpisodeConfig) -> f64 {
 }
 
 impl Swing {
+    /// Whether all snapshots are there.
+    fn is_complete(&self) -> bool {
+        self.snapshots.len() == SNAPSHOTS
+    }
+
     /// Physics steps that the swings of valid settings take: those of one body for each.
     #[must_use]
     pub fn physics_steps(config: &EpisodeConfig) -> f64 {
@@ -270,17 +303,70 @@ impl Course {
         Ok(Self { config: config.clone(), body: 0, orbit, clock })
     }
 
-    /// The body comes to rest.
+    /// The body comes to rest; with its snapshots, if a file has them.
     fn begin(&self) -> Result<Swing, ParameterError> {
         let body = self.config.drawn_bodies()[self.body].clone();
         let mut arm = Arm::undeformed(body, self.config.actuator)?;
         arm.reset()?;
+        let files = NumberFiles::of_user();
+        let known = files.and_then(|files| self.read(&files, &arm));
         Ok(Swing {
             orbit: Arc::clone(&self.orbit),
             clock: self.clock.clone(),
-            snapshots: Vec::with_capacity(SNAPSHOTS),
+            snapshots: known.unwrap_or_else(|| Vec::with_capacity(SNAPSHOTS)),
             arm,
         })
+    }
+
+    /// What the snapshots depend on, as the key of their file.
+    fn file_key(&self) -> String {
+        json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "swing": [RAMP, SETTLE, SNAPSHOTS as f64],
+            "target": self.config.target,
+            "amplitude": self.config.amplitude,
+            "control_period": self.config.control_period,
+            "actuator": self.config.actuator,
+            "body": self.config.drawn_bodies()[self.body],
+        })
+        .to_string()
+    }
+
+    /// The snapshots of a file, unless it is damaged or of another physics.
+    fn read(&self, files: &NumberFiles, arm: &Arm) -> Option<Vec<Snapshot>> {
+        let numbers = files.read(&self.file_key())?;
+        let rows = numbers.chunks_exact(Snapshot::len(self.config.arm.compartments));
+        let snapshots: Vec<Snapshot> = rows.map(Snapshot::of_numbers).collect::<Option<_>>()?;
+        (snapshots.len() == SNAPSHOTS && self.follow(&snapshots, arm)?).then_some(snapshots)
+    }
+
+    /// Whether eight of the snapshots follow from those before them, bit for bit.
+    fn follow(&self, snapshots: &[Snapshot], arm: &Arm) -> Option<bool> {
+        let pairs: [&[Snapshot]; WIDTH] = std::array::from_fn(|lane| {
+            let after = (lane + 1) * (SNAPSHOTS - 1) / WIDTH;
+            &snapshots[after - 1..=after]
+        });
+        let mut lanes = ArmLanes::new(&[arm; WIDTH]).ok()?;
+        for (lane, pair) in pairs.iter().enumerate() {
+            lanes.set_state(lane, &pair[0].arm).ok()?;
+        }
+        let commands = pairs.map(|pair| pair[1].command);
+        let steps = [self.config.physics_steps(); WIDTH];
+        control_step_of_lanes(&mut lanes, &commands, &steps, |_, _| ());
+        let same = pairs.iter().enumerate().all(|(lane, pair)| {
+            let tick = (lane + 1) * (SNAPSHOTS - 1) / WIDTH;
+            let (command, undisturbed) = self.clock.command(tick as i64 - 1, pair[0].undisturbed);
+            let arm = ArmState { steps: 0, ..lanes.state(lane) };
+            let found = Snapshot { arm, undisturbed, command };
+            found.numbers().map(f64::to_bits).eq(pair[1].numbers().map(f64::to_bits))
+        });
+        Some(same)
+    }
+
+    /// Keeps the snapshots of a swing for processes to come.
+    fn write(&self, swing: &Swing, files: &NumberFiles) -> Result<(), ParameterError> {
+        let numbers = swing.snapshots.iter().flat_map(Snapshot::numbers);
+        files.write(&self.file_key(), numbers)
     }
 }
 
@@ -306,7 +392,7 @@ impl Group {
         for (lane, (Course { config, clock, .. }, swing)) in
             courses.iter().zip(&*swings).enumerate()
         {
-            if swing.snapshots.len() < SNAPSHOTS {
+            if !swing.is_complete() {
                 let tick = self.ticks[lane] + 1;
                 let elapsed = tick as f64 * config.control_period;
                 let goal = clock.target(tick - lead_in(config) as i64);
@@ -333,7 +419,18 @@ impl Group {
             }
         }
         self.bases = ends;
-        Ok(swings.iter().any(|swing| swing.snapshots.len() < SNAPSHOTS))
+        Ok(!swings.iter().all(Swing::is_complete))
+    }
+
+    /// Keeps the swings that were made here in files, if the user wants them.
+    fn keep(&self, courses: &[Course], swings: &[Swing]) -> Result<(), ParameterError> {
+        let Some(files) = NumberFiles::of_user() else { return Ok(()) };
+        for (lane, (course, swing)) in courses.iter().zip(swings).enumerate() {
+            if self.ticks[lane] > 0 {
+                course.write(swing, &files)?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -378,10 +475,11 @@ impl SwingRun {
             if group.advance(courses, swings)? {
                 return Ok(true);
             }
+            group.keep(courses, swings)?;
             self.group = None;
             return Ok(known < bodies);
         }
-        let swung = swings[0].snapshots.len() == SNAPSHOTS;
+        let swung = swings.iter().all(Swing::is_complete);
         if swung && known == bodies {
             return Ok(false);
         }
@@ -400,5 +498,37 @@ impl SwingRun {
     #[must_use]
     pub fn keep(self) -> Swings {
         keep(&self.courses[0].config, self.swings.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file with a swing of the wrong physics, whole by itself, is not believed.
+    #[test]
+    fn snapshots_that_do_not_follow_are_refused() -> Result<(), ParameterError> {
+        let course = |density| {
+            let arm = ArmParameters { arm_density: density, ..ArmParameters::default() };
+            Course::new(&EpisodeConfig { arm, ..EpisodeConfig::default() }.checked()?)
+        };
+        let (course, heavier) = (course(1042.0)?, course(1043.0)?);
+        let swing = |course: &Course| {
+            let mut run = SwingRun::of(std::slice::from_ref(course))?;
+            while run.advance()? {}
+            Ok::<_, ParameterError>(run.swings.remove(0))
+        };
+        let (own, foreign) = (swing(&course)?, swing(&heavier)?);
+        let folder = std::env::temp_dir().join(format!("octoarm-swing-{}", std::process::id()));
+        let files = NumberFiles::in_folder(folder.clone());
+        assert!(course.read(&files, &own.arm).is_none());
+        course.write(&own, &files)?;
+        assert_eq!(course.read(&files, &own.arm).as_ref(), Some(&own.snapshots));
+        assert!(heavier.read(&files, &foreign.arm).is_none());
+        course.write(&foreign, &files)?;
+        assert!(files.read(&course.file_key()).is_some());
+        assert!(course.read(&files, &own.arm).is_none());
+        assert!(std::fs::remove_dir_all(folder).is_ok());
+        Ok(())
     }
 }
