@@ -6,7 +6,7 @@ import functools
 import multiprocessing
 import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
 import gymnasium as gym
@@ -67,6 +67,7 @@ REACH = f"OctoArmReachVectorEnv of {BATCH}, 1 thread"
 SYNC = f"gymnasium's SyncVectorEnv of {SYNC_ENVS}"
 ASYNC = f"gymnasium's AsyncVectorEnv of {ASYNC_ENVS}"
 WEB = "one arm, WebAssembly in Node.js"
+HALVES = f"two OctoArmVectorEnv of {BATCH // 2} that know nothing of each other, a thread each"
 LIMIT = "the multiplications of a step alone, as NumPy multiplies matrices"
 
 MULTIPLICATIONS = 43_956
@@ -119,6 +120,9 @@ def make_contenders() -> list[Contender]:
     for envs, threads in sizes:
         native = OctoArmVectorEnv(envs, **settings, **mode, threads=threads)
         contenders.append(_vector_environment(vector_name(envs, threads), native))
+    if len(counts) > 1:
+        halves = [OctoArmVectorEnv(BATCH // 2, **settings, **mode, threads=1) for _ in counts]
+        contenders.append(_side_by_side(halves))
     drawn = OctoArmVectorEnv(BATCH, **VARIED, threads=1)
     bodies = drawn.settings[0].drawn_bodies
     own = [bodies[index % BODIES] for index in range(BATCH)]
@@ -273,6 +277,28 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
         arms=envs.num_envs,
         physics_steps=PHYSICS_STEPS,
         close=envs.close,
+    )
+
+
+def _side_by_side(envs: list[OctoArmVectorEnv]) -> Contender:
+    """What two threads can do here at the most: batches that never wait for each other."""
+    pool = ThreadPoolExecutor(len(envs))
+    actions = np.zeros((EPISODE_STEPS, BATCH // len(envs), 2), np.float32)
+    for each in envs:
+        each.reset(seed=0)
+    walks = [walk(each.step, actions) for each in envs]
+
+    def run(steps: int) -> None:
+        for done in [pool.submit(each, steps) for each in walks]:
+            done.result()
+
+    def close() -> None:
+        pool.shutdown()
+        for each in envs:
+            each.close()
+
+    return _contender(
+        HALVES, lambda: None, run, 100_000, arms=BATCH, physics_steps=PHYSICS_STEPS, close=close
     )
 
 
