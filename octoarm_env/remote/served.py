@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,7 @@ from octoarm_env.batch import BatchEnv
 from octoarm_env.remote.world import Access, RemoteWorld, without_token
 from octoarm_env.single import SingleEnv
 
-ACCESS = frozenset(
-    ("address", "token", "token_file", "certificate", "timeout", "reconnect"),
-)
+ACCESS = frozenset(argument.name for argument in fields(Access))
 """Names of the arguments that say how a server is reached."""
 
 

@@ -32,7 +32,13 @@ pub(crate) type Answer<'py> = (&'static str, Bound<'py, PyAny>);
 /// A request to a server.
 #[pyclass(frozen, module = "octoarm_env._core")]
 pub(crate) struct Request {
-    payload: Asked,
+    message: EnvironmentRequest,
+}
+
+impl From<Asked> for Request {
+    fn from(payload: Asked) -> Self {
+        Self { message: EnvironmentRequest { payload: Some(payload) } }
+    }
 }
 
 fn tensors(settings: &Bound<'_, PyDict>) -> PyResult<BTreeMap<String, Tensor>> {
@@ -41,7 +47,7 @@ fn tensors(settings: &Bound<'_, PyDict>) -> PyResult<BTreeMap<String, Tensor>> {
 
 fn property(payload: property_request::Payload) -> Request {
     let value = PropertyRequest { payload: Some(payload) }.encode_to_vec();
-    Request { payload: Asked::Extension(Any { type_url: PROPERTY_REQUEST.to_owned(), value }) }
+    Asked::Extension(Any { type_url: PROPERTY_REQUEST.to_owned(), value }).into()
 }
 
 #[pymethods]
@@ -50,20 +56,20 @@ impl Request {
     #[staticmethod]
     fn create_world(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
         let request = CreateWorldRequest { settings: tensors(settings)? };
-        Ok(Self { payload: Asked::CreateWorld(request) })
+        Ok(Asked::CreateWorld(request).into())
     }
 
     /// Becomes the agent of a world.
     #[staticmethod]
     fn join_world(world_name: String) -> Self {
         let request = JoinWorldRequest { world_name, settings: BTreeMap::new() };
-        Self { payload: Asked::JoinWorld(request) }
+        Asked::JoinWorld(request).into()
     }
 
     /// Ends the episode; the next step begins one.
     #[staticmethod]
     fn reset(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
-        Ok(Self { payload: Asked::Reset(ResetRequest { settings: tensors(settings)? }) })
+        Ok(Asked::Reset(ResetRequest { settings: tensors(settings)? }).into())
     }
 
     /// Makes a step, for whose observations is asked by their numbers.
@@ -75,7 +81,7 @@ impl Request {
             actions: action.transpose()?.into_iter().collect(),
             requested_observations: observations,
         };
-        Ok(Self { payload: Asked::Step(request) })
+        Ok(Asked::Step(request).into())
     }
 
     /// Reads a property.
@@ -94,31 +100,29 @@ impl Request {
     /// The kind of answer that belongs to it.
     #[getter]
     fn kind(&self) -> &'static str {
-        match self.payload {
-            Asked::CreateWorld(_) => "create_world",
-            Asked::JoinWorld(_) => "join_world",
-            Asked::Step(_) => "step",
-            Asked::Reset(_) => "reset",
-            Asked::ResetWorld(_) => "reset_world",
-            Asked::LeaveWorld(_) => "leave_world",
-            Asked::DestroyWorld(_) => "destroy_world",
-            Asked::Extension(_) => "extension",
+        match self.message.payload {
+            Some(Asked::CreateWorld(_)) => "create_world",
+            Some(Asked::JoinWorld(_)) => "join_world",
+            Some(Asked::Step(_)) => "step",
+            Some(Asked::Reset(_)) => "reset",
+            Some(Asked::Extension(_)) => "extension",
+            _ => "none that is made here",
         }
     }
 
     /// The same request, but a step of which nobody looks at what it brings.
     fn blind(&self) -> Self {
-        let mut payload = self.payload.clone();
-        if let Asked::Step(request) = &mut payload {
+        let mut message = self.message.clone();
+        if let Some(Asked::Step(request)) = &mut message.payload {
             request.requested_observations.clear();
         }
-        Self { payload }
+        Self { message }
     }
 }
 
 impl Request {
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
-        EnvironmentRequest { payload: Some(self.payload.clone()) }.encode_to_vec()
+        self.message.encode_to_vec()
     }
 }
 
