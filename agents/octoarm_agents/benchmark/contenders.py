@@ -266,13 +266,10 @@ def walk(step: Callable[[Any], Any], actions: Any) -> Callable[[int], None]:
 
 def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
     """A vector environment under random actions, with the ends of episodes as they come."""
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (EPISODE_STEPS, envs.num_envs, 2)).astype(np.float32)
-    envs.reset(seed=0)
     return _contender(
         name,
         lambda: None,
-        walk(envs.step, actions),
+        _random_walk(envs),
         100_000,
         arms=envs.num_envs,
         physics_steps=PHYSICS_STEPS,
@@ -280,13 +277,17 @@ def _vector_environment(name: str, envs: VectorEnv[Any, Any, Any]) -> Contender:
     )
 
 
+def _random_walk(envs: VectorEnv[Any, Any, Any]) -> Callable[[int], None]:
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (EPISODE_STEPS, envs.num_envs, 2)).astype(np.float32)
+    envs.reset(seed=0)
+    return walk(envs.step, actions)
+
+
 def _side_by_side(envs: list[OctoArmVectorEnv]) -> Contender:
     """What two threads can do here at the most: batches that never wait for each other."""
     pool = ThreadPoolExecutor(len(envs))
-    actions = np.zeros((EPISODE_STEPS, BATCH // len(envs), 2), np.float32)
-    for each in envs:
-        each.reset(seed=0)
-    walks = [walk(each.step, actions) for each in envs]
+    walks = [_random_walk(each) for each in envs]
 
     def run(steps: int) -> None:
         for done in [pool.submit(each, steps) for each in walks]:

@@ -81,7 +81,7 @@ impl GroupRun<'_> {
 
 impl ArmBatch {
     /// Takes copies of the arms. At most `threads` share the work, the calling one included; without a
-    /// number, as many as the processor runs at once. The others are the process's, one for each thread
+    /// number, as many as the processor runs at once. The others are the process's, one fewer than threads
     /// that the processor runs at once, shared by all batches; or, if the calling thread is one of a rayon
     /// pool, the others of that pool.
     ///

@@ -14,9 +14,10 @@ fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
-/// The helpers, which all batches of the process share, however many there are: as many as the processor
-/// runs threads at once. They are started when they are first needed; none if the system gives no
-/// threads.
+/// The helpers, which all batches of the process share, however many there are: one fewer than the
+/// processor runs threads at once, for whoever asks works too, and a helper that finds nothing to do looks for
+/// work for a while, in the others' way. They are started when they are first needed; none if the system gives
+/// no threads.
 fn helpers() -> Option<Arc<rayon::ThreadPool>> {
     let process = std::process::id();
     let mut shared = HELPERS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -24,9 +25,10 @@ fn helpers() -> Option<Arc<rayon::ThreadPool>> {
         // The threads stayed with the parent; there is nobody to be told to stop.
         std::mem::forget(shared.take());
     }
-    if shared.is_none() {
+    let count = processors() - 1;
+    if shared.is_none() && count > 0 {
         let builder = rayon::ThreadPoolBuilder::new()
-            .num_threads(processors())
+            .num_threads(count)
             .thread_name(|index| format!("octoarm-{index}"));
         *shared = builder.build().ok().map(|pool| (process, Arc::new(pool)));
     }
